@@ -32,8 +32,6 @@ def main() -> None:
     limit = used() + MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     makes_classes = name in ("interface", "anytype")
-    if not makes_classes:  # else each class would be new ground
-        instrument_generated()
     count = 0
 
     def one(data: bytes) -> None:
@@ -58,16 +56,6 @@ def used() -> int:
     """The address space of this process in bytes."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     return pages * resource.getpagesize()
-
-
-def instrument_generated() -> None:
-    """Counts the branches of functions that are made at run time, too."""
-    make = conversion.Source.function
-
-    def function(source: conversion.Source) -> object:
-        return atheris.instrument_func(make(source))
-
-    conversion.Source.function = function  # type: ignore[method-assign,assignment]
 
 
 def forget_classes() -> None:

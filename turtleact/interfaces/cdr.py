@@ -4,10 +4,7 @@ The encoding is plain CDR, version 1. Data begins with a header of four bytes. E
 a multiple of the value's size, counted from the end of the header. Data is written in little endian
 with zeros for padding, and read in either byte order.
 
-Each class gets one encoder and one decoder, generated as source code on first use. Consecutive
-values of fixed size form a *run*, which ``struct`` reads or writes in one call. The padding in a
-run depends on the place where the run starts, so each run has eight ``Struct`` objects: one for
-each remainder of the place modulo 8.
+Each class gets one `Codec`, which is put together from those of its fields on first use.
 
 An encoder or decoder does not say which value is wrong. A decoder never creates more elements than
 the data has bytes, whatever length the data claims: each element takes at least one byte, and the
@@ -25,23 +22,17 @@ import struct
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidMessage, InvalidOption
-from turtleact.interfaces.conversion import Source, name_of, snapshot
+from turtleact.interfaces.conversion import name_of, snapshot
 from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm
 from turtleact.interfaces.types import Message, constructor, fields, nested_classes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from turtleact.interfaces.definition import Field, FieldType
 
-    #: Appends the encoded form of a value to a bytearray.
-    Append = Callable[[Any, bytearray], None]
     #: Makes a sequence from the bytes of its elements.
     Make = Callable[[bytes], object]
-    #: Reads a value at a place, and returns the value with the place after it.
-    Read = Callable[[bytes, int], tuple[Any, int]]
-    #: Reads a text or sequence of a given length at a place.
-    ReadMany = Callable[[bytes, int, int], tuple[Any, int]]
 
 __all__ = ["BYTE_ORDERS", "HEADER", "MISREAD", "UNFIT", "decode", "decoder", "encode", "encoder"]
 
@@ -78,8 +69,6 @@ FORMATS = {
 
 #: The format of the length before a string or sequence.
 COUNT = "I"
-#: The format of a message without fields: one byte.
-EMPTY = "x"
 #: The largest alignment.
 WIDEST = 8
 
@@ -165,11 +154,11 @@ def encoder(cls: type[M]) -> Callable[..., bytes]:
     The function takes the message, and optionally the bytes to put before the message, header
     included. For a message that it cannot encode unchanged, the function raises one of `UNFIT`.
     """
-    append = appender(cls)
+    write = message_codec(cls).write
 
     def encoded(message: M, front: bytes = HEADER) -> bytes:
         out = bytearray(front)
-        append(message, out)
+        write(message, out)
         return bytes(out)
 
     return encoded
@@ -184,7 +173,7 @@ def decoder(
     The function raises one of `MISREAD` for bytes that it cannot read. ``order`` is the byte order,
     ``arrays`` is as in `decode`, and the message begins at ``place`` in the data.
     """
-    read = reader(cls, order, arrays)
+    read = message_codec(cls, order, arrays).read
 
     def decoded(data: bytes) -> M:
         message: M = read(data, place)[0]
@@ -193,16 +182,185 @@ def decoder(
     return decoded
 
 
-class Item(NamedTuple):
-    """One value of a run.
+class Codec(NamedTuple):
+    """How to write and read the values of one type.
 
     Attributes:
-        code: The value's format in ``struct``.
-        text: The variable or expression of the value in the generated code; empty for padding.
+        write: Appends a value to a bytearray. It accepts values of the expected Python type, and
+            other values that ``struct`` can pack, such as an int for a float.
+        read: Reads a value at a place, and returns the value with the place after it.
     """
 
-    code: str
-    text: str = ""
+    write: Callable[[Any, bytearray], None]
+    read: Callable[[bytes, int], tuple[Any, int]]
+
+
+class ManyCodec(NamedTuple):
+    """How to write and read the elements of a sequence, without its length."""
+
+    write: Callable[[Any, bytearray], None]
+    read: Callable[[bytes, int, int], tuple[Any, int]]
+
+
+@functools.cache
+def message_codec(cls: type[Message], order: str = "<", arrays: str = "list") -> Codec:
+    """Return the codec of a message class. A message without fields takes one byte."""
+    make = constructor(cls)
+    members = [
+        (field.attribute, field_codec(cls, field, nested, order, arrays))
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
+    ]
+    writers = [(name, codec.write) for name, codec in members]
+    readers = [codec.read for _, codec in members]
+
+    def write(message: Message, out: bytearray) -> None:
+        if type(message) is not cls:
+            raise TypeError("a message of another class")
+        for name, write_field in writers:
+            write_field(getattr(message, name), out)
+        if not writers:
+            out.append(0)
+
+    def read(data: bytes, place: int) -> tuple[Message, int]:
+        values = []
+        for read_field in readers:
+            value, place = read_field(data, place)
+            values.append(value)
+        if not readers:
+            _, place = slice_of(data, place, 1)
+        return make(*values), place
+
+    return Codec(write, read)
+
+
+def field_codec(
+    cls: type[Message], field: Field, nested: type[Message] | None, order: str, arrays: str
+) -> Codec:
+    """Return the codec of one field of a message class."""
+    kind = field.type
+    if kind.name in FORMATS and not kind.is_sequence:
+        return number_codec(FORMATS[kind.name], order)
+    if kind.name in FORMATS:
+        is_bytes = field.name in cls._shape.bytes_fields
+        many = numbers_codec(kind.name, order, "bytes" if is_bytes else arrays)
+        return sequence_codec(kind, many, order)
+    if nested is None:
+        element = text_codec(kind.name, kind.string_bound, order)
+    else:
+        element = message_codec(nested, order, arrays)
+    return sequence_codec(kind, list_codec(element), order) if kind.is_sequence else element
+
+
+@functools.cache
+def number_codec(code: str, order: str) -> Codec:
+    """Return the codec of a number or a bool with this format of ``struct``.
+
+    The padding before a value depends on its place, so there is a ``Struct`` for each remainder of
+    the place modulo 8.
+    """
+    places = [
+        struct.Struct(f"{order}{padding(place, size_of(code))}x{code}") for place in range(WIDEST)
+    ]
+
+    def write(value: float, out: bytearray) -> None:
+        out += places[len(out) & 7].pack(value)
+
+    def write_bool(value: object, out: bytearray) -> None:
+        if value is not True and value is not False:  # `struct` packs any object as a bool
+            raise TypeError("not a bool")
+        out.append(value)
+
+    def read(data: bytes, place: int) -> tuple[Any, int]:
+        padded = places[place & 7]
+        return padded.unpack_from(data, place)[0], place + padded.size
+
+    return Codec(write_bool if code == "?" else write, read)
+
+
+def text_codec(name: str, bound: int | None, order: str) -> Codec:
+    """Return the codec of a string or wstring: its length, then its characters."""
+    length = number_codec(COUNT, order)
+    code, read_text = (narrow, read_narrow) if name == "string" else (wide, READ_WIDE[order])
+    width = 1 if name == "string" else 4
+
+    def check(text: str) -> str:
+        if bound is not None and len(text) > bound:
+            raise ValueError("a text beyond its bound")
+        return text
+
+    def write(text: str, out: bytearray) -> None:
+        content = code(check(text))
+        length.write(len(content) // width, out)
+        out += content
+
+    def read(data: bytes, place: int) -> tuple[str, int]:
+        count, place = length.read(data, place)
+        content, place = slice_of(data, place, count * width)
+        return check(read_text(content)), place
+
+    return Codec(write, read)
+
+
+def sequence_codec(kind: FieldType, many: ManyCodec, order: str) -> Codec:
+    """Return the codec of a sequence: its length, unless that is fixed, then its elements."""
+    length = number_codec(COUNT, order)
+    is_fixed, is_bounded = kind.form is ArrayForm.FIXED, kind.form is ArrayForm.BOUNDED
+
+    def check(count: int) -> None:
+        if (is_fixed and count != kind.size) or (is_bounded and count > kind.size):
+            raise ValueError("a sequence of another length")
+
+    def write(value: Sequence[Any], out: bytearray) -> None:
+        check(len(value))
+        if not is_fixed:
+            length.write(len(value), out)
+        many.write(value, out)
+
+    def read(data: bytes, place: int) -> tuple[Any, int]:
+        count = kind.size
+        if not is_fixed:
+            count, place = length.read(data, place)
+            check(count)
+        return many.read(data, place, count)
+
+    return Codec(write, read)
+
+
+def list_codec(element: Codec) -> ManyCodec:
+    """Return the codec of the texts or messages in a list."""
+
+    def write(values: object, out: bytearray) -> None:
+        if type(values) is not list:
+            raise TypeError("not a list")
+        for value in values:
+            element.write(value, out)
+
+    def read(data: bytes, place: int, count: int) -> tuple[list[Any], int]:
+        values = []
+        for _ in range(count):
+            value, place = element.read(data, place)
+            values.append(value)
+        return values, place
+
+    return ManyCodec(write, read)
+
+
+@functools.cache
+def numbers_codec(name: str, order: str, arrays: str) -> ManyCodec:
+    """Return the codec of the numbers in a sequence. There is padding only if there are numbers."""
+    size, make = size_of(FORMATS[name]), maker(arrays, order, FORMATS[name])
+
+    def write(values: Sequence[Any], out: bytearray) -> None:
+        content = content_of(name, values)
+        if content:
+            out += bytes(padding(len(out), size)) + content
+
+    def read(data: bytes, place: int, count: int) -> tuple[Any, int]:
+        begin = place + padding(place, size) if count else place
+        content, end = slice_of(data, begin, size * count)
+        return make(content), end
+
+    return ManyCodec(write, read)
 
 
 def size_of(code: str) -> int:
@@ -215,158 +373,11 @@ def padding(place: int, size: int) -> int:
     return (len(HEADER) - place) % size
 
 
-def run(order: str, items: Sequence[Item], place: int) -> struct.Struct:
-    """Return the ``Struct`` for adjacent values that start at the offset ``place``."""
-    text, at = order, place
-    for code, _ in items:
-        pad = 0 if code[-1] == "s" else padding(at, size_of(code))  # bytes are not aligned
-        text += f"{pad}x{code}"
-        at += pad + size_of(code)
-    return struct.Struct(text)
-
-
-def runs(order: str, items: Sequence[Item]) -> list[struct.Struct]:
-    """Return eight ``Struct`` objects for adjacent values: one for each start offset modulo 8."""
-    return [run(order, items, place) for place in range(WIDEST)]
-
-
-def members(cls: type[Message]) -> Iterator[tuple[Field, type[Message] | None]]:
-    """Return pairs of a field and its message class. The class is None for a primitive field."""
-    return zip(fields(cls), nested_classes(cls), strict=True)
-
-
-def is_in_run(field_type: FieldType) -> bool:
-    """Whether a field can be part of a run: a number, a bool or a fixed array of bytes."""
-    if field_type.form is ArrayForm.FIXED:
-        return field_type.name in BYTE_TYPES
-    return not field_type.is_sequence and field_type.name in FORMATS
-
-
-def code_in_run(field_type: FieldType) -> str:
-    """Return the ``struct`` format of a field that is part of a run."""
-    return f"{field_type.size}s" if field_type.is_sequence else FORMATS[field_type.name]
-
-
-@functools.cache
-def appender(cls: type[Message]) -> Append:
-    """Return a function that encodes a message and appends it to a bytearray.
-
-    The function accepts values of the expected Python type, and other values that ``struct`` can
-    pack, such as an int for a float.
-    """
-    writer = Writer()
-    writer.message(cls, "m")
-    return writer.function()
-
-
-@functools.cache
-def text_appender(field_type: FieldType) -> Append:
-    """Return a function that encodes one text of a sequence and appends it to a bytearray."""
-    writer = Writer()
-    writer.text(field_type, "m")
-    return writer.function()
-
-
-class Writer:
-    """Writes the source code of an encoder, which appends a value ``m`` to a bytearray ``out``.
-
-    ``struct`` packs any object as a bool, so the generated code checks bools itself.
-
-    Attributes:
-        source: The code so far.
-        pending: The pending run: the values for which no code has been added yet.
-    """
-
-    def __init__(self) -> None:
-        self.source = Source("m, out")
-        self.source.names["unfit"] = struct.error
-        self.pending: list[Item] = []
-
-    def function(self) -> Append:
-        """Compile the code."""
-        self.flush()
-        self.source.add("return None")
-        return self.source.function()  # type: ignore[return-value]  # the text is made to be so
-
-    def guard(self, condition: str) -> None:
-        """Add code that refuses the message if this condition is true."""
-        self.source.add(f"if {condition}: raise unfit")
-
-    def message(self, cls: type[Message], value: str) -> None:
-        """Add code that writes the fields of the message that the expression ``value`` names."""
-        for field, nested in members(cls):
-            variable = self.source.fresh()
-            self.source.add(f"{variable} = {value}.{field.attribute}")
-            if field.type.is_sequence:
-                self.sequence(field.type, nested, variable)
-            elif nested is not None:
-                self.guard(f"type({variable}) is not {self.source.hold(nested)}")
-                self.message(nested, variable)
-            elif field.type.is_string:
-                self.text(field.type, variable)
-            else:
-                self.number(field.type, variable)
-        if not fields(cls):
-            self.pending.append(Item(EMPTY))
-
-    def number(self, field_type: FieldType, value: str) -> None:
-        """Add code that writes a number or a bool."""
-        if field_type.name == "bool":
-            self.guard(f"{value} is not True and {value} is not False")
-        self.pending.append(Item(code_in_run(field_type), value))
-
-    def text(self, field_type: FieldType, value: str) -> None:
-        """Add code that writes a text: its length, then its characters."""
-        self.bound(field_type.string_bound, value)
-        content = self.source.fresh()
-        convert = narrow if field_type.name == "string" else wide
-        self.source.add(f"{content} = {self.source.hold(convert)}({value})")
-        length = f"len({content})" if field_type.name == "string" else f"len({content}) // 4"
-        self.pending.append(Item(COUNT, length))
-        self.flush()
-        self.source.add(f"out += {content}")
-
-    def sequence(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
-        """Add code that writes a sequence.
-
-        The code writes the length, unless the length is fixed, and then the elements.
-        """
-        if field_type.form is ArrayForm.FIXED:
-            self.guard(f"len({value}) != {field_type.size}")
-        else:
-            self.bound(field_type.size or None, value)
-            self.pending.append(Item(COUNT, f"len({value})"))
-        if is_in_run(field_type):
-            content = f"{self.source.hold(content_of)}({field_type.name!r}, {value})"
-            self.pending.append(Item(code_in_run(field_type), content))
-            return
-        self.flush()
-        if field_type.name in FORMATS:
-            self.source.add(
-                f"{self.source.hold(append_numbers)}({field_type.name!r}, {value}, out)"
-            )
-            return
-        self.guard(f"type({value}) is not list")
-        append = text_appender(field_type.element) if nested is None else appender(nested)
-        self.source.add(f"for x in {value}:")
-        self.source.depth += 1
-        if nested is not None:
-            self.guard(f"type(x) is not {self.source.hold(nested)}")
-        self.source.add(f"{self.source.hold(append)}(x, out)")
-        self.source.depth -= 1
-
-    def bound(self, size: int | None, value: str) -> None:
-        """Add code that refuses a value that is longer than ``size``; add nothing for None."""
-        if size is not None:
-            self.guard(f"len({value}) > {size}")
-
-    def flush(self) -> None:
-        """Add code that writes the pending run."""
-        if self.pending:
-            items, self.pending = self.pending, []
-            table = self.source.hold([each.pack for each in runs("<", items)])
-            values = ", ".join(item.text for item in items if item.text)
-            self.source.add(f"out += {table}[len(out) & 7]({values})")
+def slice_of(data: bytes, place: int, size: int) -> tuple[bytes, int]:
+    """Return ``size`` bytes, and the place after them. Raise an error if the data ends before."""
+    if place + size > len(data):
+        raise ValueError("the data ends before")
+    return data[place : place + size], place + size
 
 
 def narrow(text: str) -> bytes:
@@ -379,14 +390,6 @@ def wide(text: str) -> bytes:
     units = str.encode(text, "utf-16-le")
     count = len(units) // 2
     return struct.pack(f"<{count}I", *struct.unpack(f"<{count}H", units))
-
-
-def append_numbers(name: str, value: Sequence[Any], out: bytearray) -> None:
-    """Append the elements of a sequence of numbers, behind padding if there are elements."""
-    content = content_of(name, value)
-    if content:
-        out += bytes(padding(len(out), size_of(FORMATS[name])))
-        out += content
 
 
 def content_of(name: str, value: Sequence[Any]) -> bytes:
@@ -418,166 +421,25 @@ def copied(code: str, value: object) -> bytes:
     return view.tobytes()
 
 
-@functools.cache
-def reader(cls: type[Message], order: str, arrays: str) -> Read:
-    """Return a function that decodes the message at a given place in the data."""
-    parser = Parser(order, arrays)
-    return parser.function(parser.message(cls))
+def read_narrow(content: bytes) -> str:
+    """Decode the characters of a string."""
+    return content.decode("utf-8", "replace").removesuffix("\0")
 
 
-@functools.cache
-def text_reader(field_type: FieldType, order: str) -> Read:
-    """Return a function that decodes the text at a given place in the data."""
-    parser = Parser(order, "list")
-    return parser.function(parser.text(field_type))
-
-
-class Parser:
-    """Writes the source code of a decoder, which reads ``data`` from the place ``p`` on.
-
-    The methods for fields add code that reads a value, and return an expression for the value. The
-    expression is valid only after the code that `flush` adds; see `Writer`.
-    """
-
-    def __init__(self, order: str, arrays: str) -> None:
-        self.source = Source("data, p")
-        self.source.names["misread"] = struct.error
-        self.pending: list[Item] = []
-        self.order = order
-        self.arrays = arrays
-
-    def function(self, value: str) -> Read:
-        """Compile the code. The function returns this value, and the place behind it."""
-        self.flush()
-        self.source.add(f"return {value}, p")
-        return self.source.function()  # type: ignore[return-value]  # the text is made to be so
-
-    def message(self, cls: type[Message]) -> str:
-        """Add code that reads a message's fields."""
-        values = [self.field(cls, field, nested) for field, nested in members(cls)]
-        if not values:
-            self.pending.append(Item(EMPTY))
-        return f"{self.source.hold(constructor(cls))}({', '.join(values)})"
-
-    def field(self, cls: type[Message], field: Field, nested: type[Message] | None) -> str:
-        """Add code that reads one field."""
-        if field.type.name in FORMATS:
-            is_bytes = field.name in cls._shape.bytes_fields
-            return self.numbers(field.type, "bytes" if is_bytes else self.arrays)
-        if field.type.is_sequence:
-            return self.sequence(field.type, nested)
-        return self.text(field.type) if nested is None else self.message(nested)
-
-    def numbers(self, field_type: FieldType, arrays: str) -> str:
-        """Add code that reads a number, or a sequence of numbers."""
-        if is_in_run(field_type):
-            value = self.run(code_in_run(field_type))
-            if not field_type.is_sequence:
-                return value
-            return f"{self.source.hold(maker(arrays, self.order, 'B'))}({value})"
-        read = numbers_reader(FORMATS[field_type.name], self.order, arrays)
-        return self.many(read, self.count(field_type))
-
-    def text(self, field_type: FieldType) -> str:
-        """Add code that reads a text."""
-        value = self.many(text_content(field_type, self.order), self.run(COUNT))
-        if field_type.string_bound is not None:
-            self.guard(f"len({value}) > {field_type.string_bound}")
-        return value
-
-    def sequence(self, field_type: FieldType, nested: type[Message] | None) -> str:
-        """Add code that reads a sequence of texts or messages."""
-        count = self.count(field_type)
-        self.flush()
-        if nested is None:
-            read = text_reader(field_type.element, self.order)
-        else:
-            read = reader(nested, self.order, self.arrays)
-        value = self.source.fresh()
-        self.source.add(f"{value} = []")
-        self.source.add(f"for _ in range({count}):")
-        self.source.add(f" x, p = {self.source.hold(read)}(data, p); {value}.append(x)")
-        return value
-
-    def count(self, field_type: FieldType) -> str:
-        """Add code that reads a sequence's length, unless the length is fixed."""
-        if field_type.form is ArrayForm.FIXED:
-            return str(field_type.size)
-        count = self.run(COUNT)
-        if field_type.form is ArrayForm.BOUNDED:
-            self.flush()
-            self.guard(f"{count} > {field_type.size}")
-        return count
-
-    def many(self, read: ReadMany, count: str) -> str:
-        """Add code that reads ``count`` characters or numbers."""
-        self.flush()
-        value = self.source.fresh()
-        self.source.add(f"{value}, p = {self.source.hold(read)}(data, p, {count})")
-        return value
-
-    def run(self, code: str) -> str:
-        """Add a value to the pending run."""
-        value = self.source.fresh()
-        self.pending.append(Item(code, value))
-        return value
-
-    def guard(self, condition: str) -> None:
-        """Add code that refuses the data if this condition is true."""
-        self.source.add(f"if {condition}: raise misread")
-
-    def flush(self) -> None:
-        """Add code that reads the pending run."""
-        if self.pending:
-            items, self.pending = self.pending, []
-            targets = ", ".join(item.text for item in items if item.text)
-            self.source.add(f"run = {self.source.hold(runs(self.order, items))}[p & 7]")
-            self.source.add(f"[{targets}] = run.unpack_from(data, p); p += run.size")
-
-
-def slice_of(data: bytes, place: int, size: int) -> bytes:
-    """Return ``size`` bytes. Raises ``ValueError`` if the data ends before."""
-    if place + size > len(data):
-        raise ValueError("the data ends before")
-    return data[place : place + size]
-
-
-def text_content(field_type: FieldType, order: str) -> ReadMany:
-    """Return the function that reads the content of a string or wstring."""
-    return read_text if field_type.name == "string" else functools.partial(read_wide, order)
-
-
-def read_text(data: bytes, place: int, count: int) -> tuple[str, int]:
-    """Read the content of a string."""
-    content = slice_of(data, place, count)
-    return content.decode("utf-8", "replace").removesuffix("\0"), place + count
-
-
-def read_wide(order: str, data: bytes, place: int, count: int) -> tuple[str, int]:
-    """Read the content of a wstring. Every four bytes hold a character or half a surrogate pair.
-
-    ROS 2 writes no NUL at the end.
+def read_wide(codec: str, content: bytes) -> str:
+    """Decode the characters of a wstring. ROS 2 writes no NUL at the end.
 
     Raises:
         ValueError: if four bytes hold neither a character nor half of a surrogate pair.
     """
-    codec = "utf-32-le" if order == "<" else "utf-32-be"
-    units = slice_of(data, place, 4 * count).decode(codec, "surrogatepass")
-    text = units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
-    return text, place + 4 * count
+    units = content.decode(codec, "surrogatepass")
+    return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
-@functools.cache
-def numbers_reader(code: str, order: str, arrays: str) -> ReadMany:
-    """Return a function that reads the elements of a sequence of numbers."""
-    size, make = size_of(code), maker(arrays, order, code)
-
-    def read(data: bytes, place: int, count: int) -> tuple[object, int]:
-        begin = place + padding(place, size) if count else place
-        content = slice_of(data, begin, size * count)
-        return make(content), begin + len(content)
-
-    return read
+READ_WIDE = {
+    "<": functools.partial(read_wide, "utf-32-le"),
+    ">": functools.partial(read_wide, "utf-32-be"),
+}
 
 
 def maker(arrays: str, order: str, code: str) -> Make:

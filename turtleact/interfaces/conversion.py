@@ -1,9 +1,6 @@
 """Makes checked copies of messages, and converts dicts and times to messages and back.
 
-``snapshot`` runs for every goal, feedback and result, so it must be fast. This module therefore
-generates a function for each message class. That function makes a few comparisons per field,
-allocates only the copy, and accepts only values of exactly the expected Python type. The module
-``values`` converts all other values, or reports what is wrong.
+The module ``values`` checks each value against the type of its field, or reports what is wrong.
 
 Source: builtin_interfaces/msg/Time, for the times.
 """
@@ -16,26 +13,19 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidGoal, InvalidMessage
-from turtleact.interfaces.definition import (
-    BYTE_TYPES,
-    INTEGER_RANGES,
-    ArrayForm,
-    did_you_mean,
-    zero,
-)
+from turtleact.interfaces.definition import did_you_mean, zero
 from turtleact.interfaces.standard.builtin_interfaces.msg import Time
 from turtleact.interfaces.types import Message, constructor, fields, nested_classes
-from turtleact.interfaces.values import FLOAT32_LIMIT, converter, describe
+from turtleact.interfaces.values import converter, describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from turtleact.interfaces.definition import Field, FieldType
+    from turtleact.interfaces.definition import Field
+    from turtleact.interfaces.values import Convert
 
 __all__ = [
     "SECOND",
-    "Source",
-    "compiled",
     "error_class",
     "from_dict",
     "name_of",
@@ -84,7 +74,16 @@ def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
         root: The first word of the path in errors. If it is ``goal``, the errors are of the class
             ``InvalidGoal``.
     """
-    return compiled(cls, root)
+    copy: Callable[[object], M] = copier(cls)
+    error = error_class(root)
+
+    def checked(message: M) -> M:
+        try:
+            return copy(message)
+        except InvalidMessage as inner:
+            raise error(root + inner.path, inner.problem) from None
+
+    return checked
 
 
 def to_dict(message: Message) -> dict[str, object]:
@@ -140,63 +139,45 @@ def error_class(root: str) -> type[InvalidMessage]:
     return InvalidGoal if root == "goal" else InvalidMessage
 
 
-class Source:
-    """The source code of a function, built line by line, and the objects that the function uses."""
+class Slot(NamedTuple):
+    """How to copy the value of one field."""
 
-    def __init__(self, signature: str) -> None:
-        self.lines = [f"def function({signature}):"]
-        self.names: dict[str, object] = {}
-        self.count = 0
-        self.depth = 1
+    field: Field
+    attribute: str
+    convert: Callable[[object], object]
 
-    def add(self, line: str) -> None:
-        """Add a statement."""
-        self.lines.append(" " * self.depth + line)
+    def __call__(self, value: object) -> object:
+        """Check and copy a value. Add the field's name to any error."""
+        try:
+            return self.convert(value)
+        except InvalidMessage as inner:
+            raise InvalidMessage(f".{self.field.name}{inner.path}", inner.problem) from None
 
-    def fresh(self, prefix: str = "v") -> str:
-        """Return a variable name that is not used yet."""
-        self.count += 1
-        return f"{prefix}{self.count}"
 
-    def hold(self, value: object) -> str:
-        """Make an object available to the generated code, and return its variable name there."""
-        name = self.fresh("k")
-        self.names[name] = value
-        return name
+def slots(cls: type[Message], element: Callable[[type[Message]], Convert]) -> dict[str, Slot]:
+    """Return a `Slot` for each field of a class, by the field's ROS name.
 
-    def function(self) -> Callable[..., object]:
-        """Compile the function.
-
-        Running the code is safe: interfaces contribute only identifiers and numbers to the code.
-        """
-        exec("\n".join(self.lines), self.names)  # noqa: S102
-        return self.names["function"]  # type: ignore[return-value]  # the text defines it
+    Args:
+        cls: The class.
+        element: Returns the function that copies the messages of a class in a field.
+    """
+    return {
+        field.name: Slot(field, field.attribute, converter(field.type, nested and element(nested)))
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
+    }
 
 
 @functools.cache
-def compiled(cls: type[M], root: str) -> Callable[[M], M]:
-    """Return the generated function that checks and copies messages of this class.
+def copier(cls: type[M]) -> Callable[[object], M]:
+    """Return the function that checks and copies messages of this class."""
+    members, make = tuple(slots(cls, copier).values()), constructor(cls)
 
-    For nested messages, ``root`` is empty, because the function for the outer message adds the
-    beginning of the path to an error.
-    """
-    error = error_class(root)
+    def copy(message: Any) -> M:  # noqa: ANN401  # it checks that
+        if type(message) is not cls:
+            message = adapted(cls, message)
+        return make(*[slot(getattr(message, slot.attribute)) for slot in members])
 
-    def fail(inner: InvalidMessage) -> InvalidMessage:
-        return error(root + inner.path, inner.problem)
-
-    source = Source("m")
-    source.names |= {"cls": cls, "adapt": functools.partial(adapted, cls), "fail": fail}
-    source.names |= {"make": constructor(cls), "InvalidMessage": InvalidMessage}
-    source.add("try:")
-    source.depth += 1
-    source.add("if type(m) is not cls: m = adapt(m)")
-    pairs = zip(fields(cls), nested_classes(cls), strict=True)
-    values = [add_field(source, field, nested) for field, nested in pairs]
-    source.add(f"return make({', '.join(values)})")
-    source.depth -= 1
-    source.add("except InvalidMessage as inner: raise fail(inner) from None")
-    return source.function()  # type: ignore[return-value]  # the text is made to be so
+    return copy
 
 
 def adapted(cls: type[M], value: object) -> M:
@@ -217,96 +198,6 @@ def name_of(cls: type[Message]) -> str:
     return cls.type_name or cls.__qualname__
 
 
-def placed(field: Field, convert: Callable[[object], object], value: object) -> object:
-    """Convert the value of one field with ``convert``. Add the field's name to any error."""
-    try:
-        return convert(value)
-    except InvalidMessage as inner:
-        raise InvalidMessage(f".{field.name}{inner.path}", inner.problem) from None
-
-
-def add_field(source: Source, field: Field, nested: type[Message] | None) -> str:
-    """Add code that checks and copies one field, and return the variable of the copy."""
-    copy = None if nested is None else compiled(nested, "")
-    value = source.fresh()
-    convert = source.hold(functools.partial(placed, field, converter(field.type, copy)))
-    slow = f"{value} = {convert}({value})"
-    source.add(f"{value} = m.{field.attribute}")
-    if field.type.is_sequence:
-        add_sequence(source, field.type, copy, value, slow)
-    elif copy is not None:
-        add_guarded(source, f"{value} = {source.hold(copy)}({value})", slow)
-    else:
-        source.add(f"if {misses(field.type, value)}: {slow}")
-    return value
-
-
-def add_sequence(
-    source: Source, field_type: FieldType, copy: object, value: str, slow: str
-) -> None:
-    """Add code that checks the elements of a sequence and then copies the sequence."""
-    word, length = "if", wrong_length(field_type, value)
-    if field_type.name in BYTE_TYPES:
-        source.add(f"if type({value}) is bytes and not ({length}): pass")
-        word = "elif"
-    source.add(f"{word} type({value}) is not list or {length}: {slow}")
-    source.add("else:")
-    source.depth += 1
-    if copy is not None:
-        add_guarded(source, f"{value} = list(map({source.hold(copy)}, {value}))", slow)
-    else:
-        source.add(f"for x in {value}:")
-        source.add(f" if {misses(field_type.element, 'x')}: {slow}; break")
-        source.add(f"else: {value} = {value}.copy()")
-    source.depth -= 1
-
-
-def add_guarded(source: Source, fast: str, slow: str) -> None:
-    """Add code that runs ``fast``. If ``fast`` raises InvalidMessage, the code runs ``slow``.
-
-    ``slow`` finds the element that does not fit.
-    """
-    source.add("try:")
-    source.add(f" {fast}")
-    source.add(f"except InvalidMessage: {slow}")
-
-
-def misses(field_type: FieldType, value: str) -> str:
-    """Return an expression that is true if a value has the wrong Python type or is out of range.
-
-    The expression is also true for text that is not ASCII, because the text may contain an unpaired
-    surrogate.
-    """
-    name = field_type.name
-    if name == "bool":
-        return f"{value} is not True and {value} is not False"
-    if name == "float64":
-        return f"type({value}) is not float"
-    if name == "float32":
-        return f"type({value}) is not float or not -{FLOAT32_LIMIT!r} < {value} < {FLOAT32_LIMIT!r}"
-    if field_type.is_string:
-        bound = field_type.string_bound
-        longer = "" if bound is None else f" or len({value}) > {bound}"
-        return f"type({value}) is not str or not {value}.isascii(){longer}"
-    low, high = INTEGER_RANGES[name]
-    return f"type({value}) is not int or not {low} <= {value} <= {high}"
-
-
-def wrong_length(field_type: FieldType, value: str) -> str:
-    """Return an expression that is true if a sequence has a length that its type does not allow."""
-    if field_type.form is ArrayForm.UNBOUNDED:
-        return "False"
-    sign = "!=" if field_type.form is ArrayForm.FIXED else ">"
-    return f"len({value}) {sign} {field_type.size}"
-
-
-class Slot(NamedTuple):
-    """How to set one field of a message from a mapping."""
-
-    field: Field
-    convert: Callable[[object], object]
-
-
 def plain(message: Message) -> dict[str, object]:
     """Convert a checked message to a dict."""
     result: dict[str, object] = {}
@@ -324,33 +215,27 @@ def plain(message: Message) -> dict[str, object]:
 def filled(cls: type[M], value: object) -> M:
     """Make a message from a mapping, or from a message with the same type name and fields."""
     if isinstance(value, Message):
-        copy: Callable[[Message], M] = compiled(cls, "")
+        copy: Callable[[object], M] = copier(cls)
         return copy(value)
     if not isinstance(value, Mapping):
         problem = f"expected {example(cls)}, got {describe(value)}"
         raise InvalidMessage("", problem + (_missing_space(value) if value else ""))
-    known = slots(cls)
+    known = fillers(cls)
     arguments: dict[str, object] = {}
     for name, item in value.items():
         slot = known.get(name) if isinstance(name, str) else None
         if slot is None:
             raise InvalidMessage("", f"unknown field {describe(name)}{instead(cls, name)}")
-        content: Any = placed(slot.field, slot.convert, item)
+        content: Any = slot(item)
         is_bytes = name in cls._shape.bytes_fields
-        arguments[slot.field.attribute] = bytes(content) if is_bytes else content
+        arguments[slot.attribute] = bytes(content) if is_bytes else content
     return cls(**arguments)
 
 
 @functools.cache
-def slots(cls: type[Message]) -> dict[str, Slot]:
-    """Return a `Slot` for each field of a class, by the field's ROS name."""
-    return {
-        field.name: Slot(
-            field,
-            converter(field.type, None if nested is None else functools.partial(filled, nested)),
-        )
-        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
-    }
+def fillers(cls: type[Message]) -> dict[str, Slot]:
+    """Return the slots of a class whose messages may be mappings."""
+    return slots(cls, lambda nested: functools.partial(filled, nested))
 
 
 def example(cls: type[Message]) -> str:
