@@ -163,6 +163,42 @@ async def lab(
         yield Lab(node, server, node.action_client(Count, "count"), local_server(server))
 
 
+class Apart:
+    """A graph whose servers are all elsewhere: nobody is handed the server itself."""
+
+    def __init__(self, transport: MemoryTransport) -> None:
+        self._transport = transport
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def local(self, name: str, type_name: str) -> None:
+        """There is none in this process."""
+
+
+@asynccontextmanager
+async def far_and_near(
+    transport: MemoryTransport | None = None, near: Callable[[MemoryTransport], Any] = Apart
+) -> AsyncIterator[tuple[turtleact.Node, turtleact.Node]]:
+    """Two nodes that reach each other by messages alone."""
+    shared = transport or MemoryTransport()
+    async with (
+        turtleact.open_node("far", transport=shared) as far,
+        turtleact.open_node("near", transport=near(shared)) as node,
+    ):
+        yield far, node
+
+
+@asynccontextmanager
+async def apart(
+    execute: Any, *, transport: MemoryTransport | None = None, **options: Any
+) -> AsyncIterator[Lab]:
+    """A node that serves `Count`, and the client of another that reaches it by messages alone."""
+    async with far_and_near(transport) as (far, node):
+        server = far.action_server(Count, "count", execute, **options)
+        yield Lab(node, server, node.action_client(Count, "count"), local_server(server))
+
+
 async def count(goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
     """A plain body: a generator that never waits."""
     numbers: list[int] = []

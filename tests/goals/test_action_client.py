@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
-import uuid
 from collections.abc import Callable
 from typing import Any
 
@@ -22,11 +21,9 @@ from turtleact.errors import (
     GoalAborted,
     GoalCanceled,
     GoalRejected,
-    InvalidName,
     ServerUnavailable,
     TurtleactError,
 )
-from turtleact.goals.state import CancelCode
 from turtleact.tasks import current_tasks
 
 from ..lab import (
@@ -60,11 +57,6 @@ async def wait_with_partial_result(request, handle):
 # --- awaiting a goal ------------------------------------------------------------------------
 
 
-async def test_awaiting_a_goal_gives_its_result():
-    async with lab(count) as served:
-        assert await served.client.send_goal(goal()) == result(0, 1, 2)
-
-
 async def test_awaiting_an_aborted_goal_raises_its_reason_and_result():
     async with lab(abort) as served:
         with pytest.raises(GoalAborted, match=r"^the goal was aborted: no pen$") as caught:
@@ -72,9 +64,9 @@ async def test_awaiting_an_aborted_goal_raises_its_reason_and_result():
         assert (caught.value.reason, caught.value.result) == ("no pen", result(1))
 
 
-async def test_awaiting_a_canceled_goal_raises_its_result():
+async def test_awaiting_a_canceled_goal_raises_its_result(where):
     async with (
-        lab(wait_with_partial_result) as served,
+        where(wait_with_partial_result) as served,
         running(lambda: served.client.send_goal(goal())) as sent,
     ):
         await served.client.cancel_all()
@@ -119,26 +111,6 @@ async def test_goals_can_be_gathered():
         assert await asyncio.gather(*goals) == [result(), result(0), result(0, 1)]
 
 
-async def test_canceling_who_awaits_a_goal_cancels_the_goal():
-    gate = Gate()
-    async with lab(gate.wait) as served:
-        async with running(lambda: served.client.send_goal(goal())) as sent:
-            sent.scope.cancel()
-        assert (gate.log, served.active) == (["begun", "canceled", "over"], [])
-        assert sent.scope.cancelled_caught
-
-
-async def test_canceling_who_awaits_a_goal_ends_it_canceled():
-    async with (
-        lab(wait_with_partial_result) as served,
-        running(lambda: served.client.send_goal(goal(), goal_id=b"1" * 16)) as sent,
-    ):
-        (held,) = served.active
-        sent.scope.cancel()
-        await sent.done.wait()
-        assert (held.status, held.result) == (GoalStatus.CANCELED, result(1))
-
-
 async def test_canceling_who_awaits_a_goal_lets_its_body_report_a_result():
     async def body(request):
         try:
@@ -153,26 +125,6 @@ async def test_canceling_who_awaits_a_goal_lets_its_body_report_a_result():
         assert (held.status, held.result) == (GoalStatus.CANCELED, result(5))
 
 
-async def test_canceling_who_awaits_a_goal_waits_for_the_end_of_its_clean_up():
-    gate, log = Gate(), []
-
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-            log.append("cleaned up")
-
-    async with lab(body) as served, running(lambda: served.client.send_goal(goal())) as sent:
-        sent.scope.cancel()
-        await settle()
-        assert not sent.done.is_set()
-        gate.opened.set()
-        await sent.done.wait()
-        assert log == ["cleaned up"]
-
-
 async def test_who_awaits_a_goal_stays_canceled_even_if_the_goal_succeeds():
     async def body(request):
         try:
@@ -184,26 +136,6 @@ async def test_who_awaits_a_goal_stays_canceled_even_if_the_goal_succeeds():
         async with running(lambda: served.client.send_goal(goal())) as sent:
             sent.scope.cancel()
         assert (sent.scope.cancelled_caught, sent.value) == (True, None)
-
-
-async def test_a_timeout_around_an_awaited_goal_cancels_the_goal():
-    gate = Gate()
-    async with lab(gate.wait) as served:
-        with pytest.raises(TimeoutError), anyio.fail_after(0):
-            await served.client.send_goal(goal())
-        assert served.active == []
-
-
-@ON_ASYNCIO
-async def test_a_timeout_of_asyncio_around_an_awaited_goal_cancels_the_goal():
-    gate = Gate()
-    async with lab(gate.wait) as served:
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0):
-                await served.client.send_goal(goal())
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(served.client.send_goal(goal()), 0.001)
-        assert served.active == []
 
 
 @pytest.mark.parametrize("ends", ["succeeded", "canceled"])
@@ -243,53 +175,6 @@ async def test_a_goal_sent_in_the_clean_up_of_a_canceled_task_runs():
         assert values == [result(0)]
 
 
-async def test_a_canceled_wait_is_bounded_where_the_server_does_not_let_the_goal_go():
-    gate = Gate()
-
-    def hold(handle):
-        return CancelResponse.REJECT
-
-    async with lab(gate.wait, cancel_callback=hold) as served:
-        client = served.node.action_client(Count, "count", cancel_timeout=0.01)
-        async with running(lambda: client.send_goal(goal())) as sent:
-            sent.scope.cancel()
-        assert (len(served.active), gate.log) == (1, ["begun"])
-        gate.opened.set()
-
-
-async def test_a_goal_within_a_goal_is_canceled_with_it():
-    gate = Gate()
-
-    async def parent(request, handle):
-        await handle.node.action_client(Count, "count").send_goal(goal())
-        return result()
-
-    async with lab(gate.wait) as served:
-        served.node.action_server(Count, "parent", parent)
-        client = served.node.action_client(Count, "parent")
-        async with running(lambda: client.send_goal(goal())) as sent:
-            await client.cancel_all()
-        assert isinstance(sent.error, GoalCanceled)
-        assert (gate.log, served.active) == (["begun", "canceled", "over"], [])
-
-
-async def test_a_goal_within_a_goal_that_is_canceled_by_others_reaches_the_parent_as_such():
-    gate = Gate()
-
-    async def parent(request, handle):
-        with pytest.raises(GoalCanceled):
-            await handle.node.action_client(Count, "count").send_goal(goal())
-        await anyio.lowlevel.checkpoint()
-        return result(7)
-
-    async with lab(gate.wait) as served:
-        served.node.action_server(Count, "parent", parent)
-        client = served.node.action_client(Count, "parent")
-        async with running(lambda: client.send_goal(goal())) as sent:
-            await served.client.cancel_all()
-        assert sent.value == result(7)
-
-
 # --- entering a goal ------------------------------------------------------------------------
 
 
@@ -302,29 +187,6 @@ async def test_a_handle_shows_its_goal():
         assert (handle.done, handle.status) == (True, GoalStatus.SUCCEEDED)
 
 
-async def test_the_result_can_be_asked_for_before_and_after_the_end():
-    gate = Gate()
-    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
-        async with running(handle.result) as early:
-            gate.opened.set()
-        assert early.value == await handle.result() == result(7)
-
-
-async def test_any_number_of_tasks_can_wait_for_the_result():
-    gate, results = Gate(), []
-    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
-
-        async def wait():
-            results.append(await handle.result())
-
-        async with anyio.create_task_group() as group:
-            for _ in range(10):
-                group.start_soon(wait)
-            await settle()
-            gate.opened.set()
-    assert results == [result(7)] * 10
-
-
 async def test_canceling_who_waits_for_the_result_lets_the_goal_go_on():
     gate = Gate()
     async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
@@ -335,47 +197,10 @@ async def test_canceling_who_waits_for_the_result_lets_the_goal_go_on():
         assert await handle.result() == result(7)
 
 
-async def test_the_result_of_an_aborted_goal_raises():
-    async with lab(abort) as served, served.client.send_goal(goal()) as handle:
-        with pytest.raises(GoalAborted, match="no pen"):
-            await handle.result()
-
-
-async def test_the_result_of_a_canceled_goal_raises():
-    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
-        await handle.cancel()
-        with pytest.raises(GoalCanceled):
-            await handle.result()
-
-
 async def test_the_outcome_of_a_goal_never_raises():
     async with lab(abort) as served, served.client.send_goal(goal()) as handle:
         expected = Outcome(GoalStatus.ABORTED, result(1), "no pen")
         assert [await handle.outcome(), await handle.outcome()] == [expected, expected]
-
-
-async def test_the_outcome_can_be_waited_for():
-    gate = Gate()
-    async with lab(gate.wait) as served, served.client.send_goal(goal(7)) as handle:
-        async with running(handle.outcome) as waiter:
-            gate.opened.set()
-        assert waiter.value == Outcome(GoalStatus.SUCCEEDED, result(7))
-
-
-async def test_reading_ends_when_the_goal_does():
-    gate = Gate()
-    async with lab(gate.stream) as served, served.client.send_goal(goal()) as handle:
-        read = []
-        async for message in handle:
-            read.append(message)
-            gate.opened.set()
-        assert (read, handle.status) == ([feedback(0)], GoalStatus.SUCCEEDED)
-
-
-@pytest.mark.parametrize("body", [abort, count])
-async def test_reading_ends_however_the_goal_ends(body):
-    async with lab(body) as served, served.client.send_goal(goal(0)) as handle:
-        assert [message async for message in handle] == []
 
 
 async def test_a_handle_can_be_read_message_by_message():
@@ -385,29 +210,9 @@ async def test_a_handle_can_be_read_message_by_message():
             await anext(handle)
 
 
-async def test_canceling_who_reads_loses_nothing():
+async def test_leaving_the_block_cancels_the_goal_and_waits_for_its_end(where):
     gate = Gate()
-
-    async def body(request, handle):
-        await gate.opened.wait()
-        handle.publish_feedback(feedback(1))
-        return result()
-
-    async with lab(body) as served, served.client.send_goal(goal()) as handle:
-        async with running(lambda: anext(aiter(handle))) as reader:
-            reader.scope.cancel()
-        gate.opened.set()
-        assert [message async for message in handle] == [feedback(1)]
-
-
-async def test_the_newest_feedback_is_nothing_before_the_first():
-    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
-        assert handle.last_feedback is None
-
-
-async def test_leaving_the_block_cancels_the_goal_and_waits_for_its_end():
-    gate = Gate()
-    async with lab(gate.wait) as served:
+    async with where(gate.wait) as served:
         async with served.client.send_goal(goal()) as handle:
             await gate.started.wait()
         assert (handle.status, gate.log) == (
@@ -416,38 +221,18 @@ async def test_leaving_the_block_cancels_the_goal_and_waits_for_its_end():
         )
 
 
-async def test_leaving_the_block_with_an_exception_cancels_the_goal_and_lets_it_pass():
+async def test_leaving_the_block_with_an_exception_cancels_the_goal_and_lets_it_pass(where):
     gate, mine = Gate(), ValueError("mine")
-    async with lab(gate.wait) as served:
+    async with where(gate.wait) as served:
         with pytest.raises(ValueError, match="mine") as caught:
             async with served.client.send_goal(goal()) as handle:
                 raise mine
         assert (caught.value, handle.status) == (mine, GoalStatus.CANCELED)
 
 
-async def test_leaving_the_block_after_the_end_does_nothing():
-    async with lab(count) as served:
-        async with served.client.send_goal(goal()) as handle:
-            await handle.result()
-        assert handle.status is GoalStatus.SUCCEEDED
-
-
-async def test_canceling_the_block_cancels_the_goal_and_waits_for_its_end():
+async def test_a_detached_goal_goes_on(where):
     gate = Gate()
-    async with lab(gate.wait) as served:
-
-        async def call():
-            async with served.client.send_goal(goal()):
-                await anyio.sleep_forever()
-
-        async with running(call) as beside:
-            beside.scope.cancel()
-        assert (gate.log, served.active) == (["begun", "canceled", "over"], [])
-
-
-async def test_a_detached_goal_goes_on():
-    gate = Gate()
-    async with lab(gate.wait) as served:
+    async with where(gate.wait) as served:
         async with served.client.send_goal(goal(7)) as handle:
             handle.detach()
         assert handle.status is GoalStatus.EXECUTING
@@ -469,41 +254,6 @@ async def test_a_goal_whose_result_has_expired_still_answers_its_handle():
         await handle.result()
         clock.advance(100)
         assert await handle.result() == result(0)
-
-
-# --- ids ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "goal_id",
-    [
-        pytest.param(bytes(range(16)), id="bytes"),
-        pytest.param(uuid.UUID(bytes=bytes(range(16))), id="uuid"),
-        pytest.param(bytes(range(16)).hex(), id="digits"),
-    ],
-)
-async def test_a_goal_has_the_id_that_it_was_given(goal_id):
-    async with (
-        lab(count) as served,
-        served.client.send_goal(goal(), goal_id=goal_id) as handle,
-    ):
-        assert handle.goal_id == bytes(range(16))
-
-
-@pytest.mark.parametrize("goal_id", [b"", b"1" * 15, b"1" * 17, "xyz", 7])
-async def test_what_is_no_goal_id_is_refused(goal_id):
-    async with lab(count) as served:
-        with pytest.raises(InvalidName, match="a goal id has"):
-            served.client.send_goal(goal(), goal_id=goal_id)
-
-
-async def test_each_goal_has_an_id_of_its_own():
-    async with lab(Gate().wait) as served:
-        seen = set()
-        for _ in range(20):
-            async with served.client.send_goal(goal()) as handle:
-                seen.add(handle.goal_id)
-    assert len(seen) == 20
 
 
 # --- finding a server -----------------------------------------------------------------------
@@ -547,12 +297,6 @@ async def test_without_a_server_nothing_can_be_canceled(ask):
         arguments = [turtleact.interfaces.standard.Time()] if ask == "cancel_before" else []
         with pytest.raises(ServerUnavailable):
             await getattr(client, ask)(*arguments)
-
-
-async def test_a_server_that_is_there_need_not_be_waited_for():
-    async with lab(count) as served:
-        assert await served.client.wait_for_server() is True
-        assert await served.client.wait_for_server(0) is True
 
 
 async def test_a_server_that_does_not_come_is_not_waited_for_for_ever():
@@ -794,31 +538,7 @@ async def test_a_server_closed_at_any_point_of_a_call_answers_it(call, style):
                 group.cancel_scope.cancel()  # it may wait for the next server
 
 
-async def test_a_goal_canceled_at_any_point_ends_canceled_or_has_succeeded():
-    for turns in range(40):
-        busy = Busy()
-        async with lab(busy.body) as served, served.client.send_goal(goal()) as handle:
-            await take(turns)
-            response = await handle.cancel()
-            outcome = await handle.outcome()
-            if outcome.status is GoalStatus.CANCELED:
-                assert response.return_code == CancelCode.NONE, f"after {turns} turns"
-            else:  # it may succeed although it is canceling
-                assert outcome.status is GoalStatus.SUCCEEDED, f"after {turns} turns"
-
-
 # --- given to what wants a coroutine ------------------------------------------------------------
-
-
-@ON_ASYNCIO
-@pytest.mark.parametrize("waits", [False, True])
-async def test_a_task_can_be_made_of_it(waits):
-    gate = Gate()
-    async with lab(gate.wait if waits else count) as served:
-        task = asyncio.create_task(served.client.send_goal(goal(1)))
-        await settle()
-        gate.opened.set()
-        assert await task == (result(1) if waits else result(0))
 
 
 @ON_ASYNCIO
@@ -826,19 +546,6 @@ async def test_a_task_group_takes_it():
     async with lab(count) as served, asyncio.TaskGroup() as group:
         tasks = [group.create_task(served.client.send_goal(goal(upto))) for upto in range(3)]
     assert [task.result() for task in tasks] == [result(), result(0), result(0, 1)]
-
-
-@ON_ASYNCIO
-async def test_canceling_the_task_cancels_the_goal():
-    gate = Gate()
-    async with lab(gate.wait) as served:
-        task = asyncio.create_task(served.client.send_goal(goal()))
-        await settle()
-        (active,) = served.active
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        assert (active.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
 
 
 @ON_ASYNCIO

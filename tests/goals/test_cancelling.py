@@ -14,7 +14,7 @@ import pytest
 import turtleact
 from turtleact import CancelResponse, GoalStatus
 from turtleact.errors import InvalidOption
-from turtleact.transports import MemoryTransport, open_zenoh
+from turtleact.transports import open_zenoh
 
 from ..lab import (
     ON_ASYNCIO,
@@ -22,6 +22,7 @@ from ..lab import (
     Count,
     Gate,
     Running,
+    far_and_near,
     goal,
     lab,
     result,
@@ -61,16 +62,12 @@ async def in_process(address: str) -> AsyncIterator[Place]:
 
 @asynccontextmanager
 async def by_messages(address: str) -> AsyncIterator[Place]:
-    transport = MemoryTransport()
-    graph: Any = Cut(transport)
+    async with far_and_near(near=Cut) as (far, near):
+        graph: Any = near.transport
 
-    async def kill() -> None:
-        graph.cut()
+        async def kill() -> None:
+            graph.cut()
 
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=graph) as near,
-    ):
         yield Place(far, near, kill)
 
 

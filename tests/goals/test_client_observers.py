@@ -16,8 +16,8 @@ from turtleact.goals.observers import GoalObserver
 from turtleact.goals.state import Goal, GoalRequest
 from turtleact.transports import MemoryTransport
 
-from ..lab import Count, Gate, count, feedback, goal, result, settle
-from .test_remote_server import Apart, Cut
+from ..lab import Apart, Count, Gate, count, feedback, goal, result, settle
+from .test_remote_server import Cut
 
 ID, OTHER = bytes(range(16)), bytes(range(1, 17))
 

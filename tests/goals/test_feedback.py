@@ -342,16 +342,6 @@ async def test_of_two_readers_the_last_one_to_be_left_lets_the_body_go_on(read):
         assert handle.done
 
 
-async def test_two_readers_of_one_handle_share_its_feedback():
-    source = Source(upto=100)
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        first, second = aiter(handle), aiter(handle)
-        read = []
-        for _ in range(50):
-            read += [await anext(first), await anext(second)]
-        assert [message.so_far[0] for message in read] == list(range(100))
-
-
 @READERS
 async def test_a_body_goes_on_although_its_reader_is_collected_in_another_thread(read):
     source = Source()

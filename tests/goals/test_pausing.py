@@ -21,6 +21,7 @@ from ..lab import (
     Count,
     Gate,
     HandClock,
+    far_and_near,
     feedback,
     goal,
     lab,
@@ -30,7 +31,6 @@ from ..lab import (
     settle,
     take_turns,
 )
-from .test_remote_server import Apart
 
 ID = bytes(range(16))
 
@@ -560,12 +560,8 @@ async def test_the_callbacks_are_coroutine_functions(name):
 
 
 async def test_goals_are_paused_by_messages():
-    transport, walker = MemoryTransport(), Walker()
-    near: Any = Apart(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    walker = Walker()
+    async with far_and_near() as (far, node):
         far.action_server(Count, "count", walker.generator)
         blind = far.action_server(Count, "blind", walker.blind)
         async with node.action_client(Count, "count").send_goal(goal(MANY)) as handle:
@@ -581,8 +577,7 @@ async def test_goals_are_paused_by_messages():
 
 @pytest.mark.parametrize("is_entered", [False, True])
 async def test_a_child_in_another_process_is_paused_with_its_parent(is_entered):
-    transport, walker = MemoryTransport(), Walker()
-    near: Any = Apart(transport)
+    walker = Walker()
 
     async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
         client = handle.node.action_client(Count, "count")
@@ -592,10 +587,7 @@ async def test_a_child_in_another_process_is_paused_with_its_parent(is_entered):
         else:
             yield await client.send_goal(goal(MANY))
 
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    async with far_and_near() as (far, node):
         far.action_server(Count, "count", walker.generator)
         node.action_server(Count, "parent", parent)
         async with node.action_client(Count, "parent").send_goal(goal()) as handle:
@@ -611,16 +603,11 @@ async def test_a_child_in_another_process_is_paused_with_its_parent(is_entered):
 
 
 async def test_a_child_in_another_process_that_refuses_refuses_for_its_parent():
-    transport = MemoryTransport()
-    near: Any = Apart(transport)
 
     async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
         yield await handle.node.action_client(Count, "blind").send_goal(goal())
 
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    async with far_and_near() as (far, node):
         far.action_server(Count, "blind", Walker().blind)
         node.action_server(Count, "parent", parent)
         async with node.action_client(Count, "parent").send_goal(goal()) as handle:
@@ -665,12 +652,8 @@ async def test_users_of_ros_pause_waiting_goals_too():
 
 
 async def test_a_client_knows_that_somebody_else_has_paused_its_goal():
-    transport, walker = MemoryTransport(), Walker()
-    near: Any = Apart(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    walker = Walker()
+    async with far_and_near() as (far, node):
         server = far.action_server(Count, "count", walker.generator)
         async with (
             node.action_client(Count, "count").send_goal(goal(MANY)) as sent,

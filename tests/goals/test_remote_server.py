@@ -14,15 +14,8 @@ import anyio.lowlevel
 import pytest
 
 import turtleact
-from turtleact import CancelResponse, GoalResponse, GoalStatus
+from turtleact import GoalResponse, GoalStatus
 from turtleact.errors import (
-    Abort,
-    Cancel,
-    GoalAborted,
-    GoalCanceled,
-    GoalRejected,
-    InvalidGoal,
-    Reject,
     ServerUnavailable,
     TurtleactError,
     UnknownGoal,
@@ -32,22 +25,21 @@ from turtleact.goals.remote import RemoteGoal
 from turtleact.goals.state import CancelCode
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Action, Message, implied, int32
-from turtleact.interfaces.standard import CancelGoal, Time
+from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import EVERY_SERVER
 
 from ..lab import (
     ON_ASYNCIO,
+    Apart,
     Count,
     Gate,
-    HandClock,
     Lab,
     Running,
-    Send,
-    awaited,
+    apart,
     count,
-    entered,
+    far_and_near,
     feedback,
     goal,
     local_server,
@@ -60,42 +52,6 @@ from ..lab import (
 ID = bytes(range(16))
 
 
-class Apart:
-    """A graph whose servers are all elsewhere: nobody is handed the server itself."""
-
-    def __init__(self, transport: MemoryTransport) -> None:
-        self._transport = transport
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._transport, name)
-
-    def local(self, name: str, type_name: str) -> None:
-        """There is none in this process."""
-
-
-@asynccontextmanager
-async def apart(
-    execute: Any, *, clock: HandClock | None = None, **options: Any
-) -> AsyncIterator[Lab]:
-    """A node that serves `Count`, and the client of another that reaches it by messages alone."""
-    transport = MemoryTransport(clock)
-    near: Any = Apart(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
-        server = far.action_server(Count, "count", execute, **options)
-        yield Lab(node, server, node.action_client(Count, "count"), local_server(server))
-        assert node.transport.local("/count/_action/send_goal", "") is None
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request) -> Send:
-    """The two ways to wait for a goal."""
-    way: Send = request.param
-    return way
-
-
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """Do not wait for a dead server to return."""
@@ -105,74 +61,8 @@ def no_patience(monkeypatch) -> None:
 # --- ends ---------------------------------------------------------------------------------------
 
 
-async def test_a_goal_succeeds(send):
-    async with apart(count) as served:
-        assert await send(served, goal()) == Outcome(GoalStatus.SUCCEEDED, result(0, 1, 2))
-
-
-@pytest.mark.parametrize(
-    ("error", "outcome"),
-    [
-        (Abort("too far", result(7)), Outcome(GoalStatus.ABORTED, result(7), "too far")),
-        (ValueError("mine"), Outcome(GoalStatus.ABORTED, result(), "ValueError: mine")),
-    ],
-)
-async def test_the_reason_and_the_result_of_an_aborted_goal_arrive(send, error, outcome):
-    async def act(request):
-        raise error
-
-    async with apart(act) as served:
-        assert await send(served, goal()) == outcome
-
-
-async def test_a_canceled_goal_brings_its_result(send):
-    async def act(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            raise Cancel(result(1))
-
-    async with apart(act) as served, running(lambda: send(served, goal())) as sent:
-        response = await served.client.cancel_all()
-        assert len(response.goals_canceling) == 1
-        await sent.done.wait()
-        assert sent.value == Outcome(GoalStatus.CANCELED, result(1))
-
-
-@pytest.mark.parametrize("at_once", [True, False])
-async def test_a_rejected_goal_brings_the_reason(send, at_once):
-    async def ask(request):
-        if not at_once:
-            await anyio.lowlevel.checkpoint()
-        raise Reject("not today")
-
-    async with apart(count, goal_callback=ask) as served:
-        with pytest.raises(GoalRejected) as caught:
-            await send(served, goal())
-        assert caught.value.reason == "not today"
-        assert served.active == []
-
-
-async def test_a_goal_that_does_not_fit_is_not_sent(send):
-    async with apart(count) as served:
-        with pytest.raises(InvalidGoal):
-            await send(served, "three")
-
-
-async def test_without_a_server_it_is_unavailable_at_once(send):
-    async with apart(count) as served:
-        await served.server.aclose()
-        with pytest.raises(ServerUnavailable, match="action '/count': no server answers"):
-            await send(served, goal())
-
-
 async def test_a_client_waits_for_its_server():
-    transport = MemoryTransport()
-    near: Any = Apart(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    async with far_and_near() as (far, node):
         client = node.action_client(Count, "count")
         async with running(client.wait_for_server) as waiting:
             assert not waiting.done.is_set()
@@ -184,31 +74,6 @@ async def test_a_client_waits_for_its_server():
 # --- feedback -----------------------------------------------------------------------------------
 
 
-async def test_all_feedback_comes_in_order_and_before_the_end():
-    async with apart(count) as served, served.client.send_goal(goal(50)) as handle:
-        seen = [each.so_far async for each in handle]
-        assert seen == [list(range(n + 1)) for n in range(50)]
-        assert handle.last_feedback == feedback(*range(50))
-        assert await handle.result() == result(*range(50))
-        assert handle.missed == 0
-
-
-async def test_a_callback_hears_all_feedback(send):
-    seen: list[Any] = []
-    async with apart(count) as served:
-        await served.client.send_goal(goal(5), feedback_callback=seen.append)
-    assert [each.so_far[-1] for each in seen] == [0, 1, 2, 3, 4]
-
-
-async def test_a_callback_that_fails_does_no_harm(caplog):
-    def fail(message):
-        raise ValueError("mine")
-
-    async with apart(count) as served:
-        assert await served.client.send_goal(goal(1), feedback_callback=fail) == result(0)
-    assert "the feedback_callback of a goal of /count failed (goal " in caplog.text
-
-
 async def test_feedback_of_others_is_not_heard():
     async with apart(count) as served, served.client.send_goal(goal(3)) as first:
         async with served.client.send_goal(goal(5)) as second:
@@ -216,87 +81,7 @@ async def test_feedback_of_others_is_not_heard():
         assert len([each async for each in first]) == 3
 
 
-async def test_events_tell_the_whole_story():
-    async with apart(count) as served, served.client.send_goal(goal(2), goal_id=ID) as handle:
-        events: list[Any] = [event async for event in handle.events()]
-    kinds = [(event.kind, getattr(event, "status", None)) for event in events]
-    assert kinds == [
-        ("accepted", None),
-        ("status", GoalStatus.EXECUTING),
-        ("feedback", None),
-        ("feedback", None),
-        ("status", GoalStatus.SUCCEEDED),
-        ("result", None),
-    ]
-    assert events[0].goal_id == ID
-
-
 # --- canceling ----------------------------------------------------------------------------------
-
-
-async def test_a_handle_cancels_its_goal_and_shows_it():
-    cleaned = anyio.Event()
-
-    async def act(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await cleaned.wait()
-
-    async with apart(act) as served, served.client.send_goal(goal()) as handle:
-        await settle()
-        assert handle.status is GoalStatus.EXECUTING
-        response = await handle.cancel()
-        assert (response.return_code, handle.status) == (CancelCode.NONE, GoalStatus.CANCELING)
-        cleaned.set()
-        assert (await handle.outcome()).status is GoalStatus.CANCELED
-        assert (await handle.cancel()).return_code == CancelCode.GOAL_TERMINATED
-
-
-async def test_a_cancel_that_cannot_wait_is_heard():
-    async with apart(Gate().wait) as served, served.client.send_goal(goal()) as handle:
-        handle.cancel_nowait()
-        assert (await handle.outcome()).status is GoalStatus.CANCELED
-
-
-async def test_a_refused_cancel_is_told():
-    gate = Gate()
-    async with (
-        apart(gate.wait, cancel_callback=lambda _: CancelResponse.REJECT) as served,
-        served.client.send_goal(goal()) as handle,
-    ):
-        assert (await handle.cancel()).return_code == CancelCode.REJECTED
-        gate.opened.set()
-        assert await handle.result() == result(3)
-
-
-async def test_leaving_the_block_cancels_the_goal():
-    gate = Gate()
-    async with apart(gate.wait) as served:
-        async with served.client.send_goal(goal()) as handle:
-            await gate.started.wait()
-        assert (handle.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
-
-
-async def test_a_detached_goal_goes_on():
-    gate = Gate()
-    async with apart(gate.wait) as served:
-        async with served.client.send_goal(goal(), goal_id=ID) as handle:
-            handle.detach()
-        assert len(served.active) == 1
-        async with served.client.attach(ID) as again:
-            gate.opened.set()
-            assert await again.result() == result(3)
-
-
-async def test_a_canceled_caller_has_its_goal_canceled(send):
-    gate = Gate()
-    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
-        await gate.started.wait()
-        sent.scope.cancel()
-        await sent.done.wait()
-        assert gate.log == ["begun", "canceled", "over"]
 
 
 async def test_a_canceled_caller_asks_once_to_cancel(send, monkeypatch):
@@ -338,23 +123,7 @@ async def test_a_goal_that_is_accepted_after_its_sender_was_canceled_is_canceled
         assert served.active == []
 
 
-async def test_goals_are_canceled_by_the_time_of_their_acceptance():
-    async with apart(Gate().wait) as served, served.client.send_goal(goal()) as handle:
-        stamp = handle.stamp
-        assert stamp.sec > 0
-        early = await served.client.cancel_before(Time(sec=stamp.sec - 1))
-        assert early.goals_canceling == []
-        late = await served.client.cancel_before(stamp)
-        assert [info.goal_id.uuid for info in late.goals_canceling] == [handle.goal_id]
-
-
 # --- goals of others ----------------------------------------------------------------------------
-
-
-async def test_a_goal_that_is_not_held_cannot_be_attached():
-    async with apart(count) as served:
-        with pytest.raises(UnknownGoal):
-            await served.client.attach(ID)
 
 
 async def test_an_attached_reader_hears_what_comes():
@@ -378,35 +147,7 @@ async def test_an_attached_reader_hears_what_comes():
         assert await own.result() == result(3)
 
 
-async def test_a_kept_result_can_be_attached():
-    async with apart(count) as served:
-        await served.client.send_goal(goal(2), goal_id=ID)
-        async with served.client.attach(ID) as handle:
-            assert handle.status is GoalStatus.SUCCEEDED
-            assert await handle.result() == result(0, 1)
-
-
-async def test_a_goal_that_its_server_has_forgotten_cannot_be_attached():
-    clock = HandClock()
-    async with apart(count, clock=clock, result_timeout=10.0) as served:
-        await served.client.send_goal(goal(), goal_id=ID)
-        clock.advance(9.9)
-        assert (await served.client.attach(ID)).done
-        clock.advance(0.1)
-        with pytest.raises(UnknownGoal, match=f"'/count' holds no goal {ID.hex()}"):
-            await served.client.attach(ID)
-
-
 # --- when one side goes -------------------------------------------------------------------------
-
-
-async def test_a_server_that_closes_aborts_its_goals(send):
-    gate = Gate()
-    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
-        await gate.started.wait()
-        await served.server.aclose()
-        await sent.done.wait()
-        assert sent.value == Outcome(GoalStatus.ABORTED, result(), "shutdown")
 
 
 async def test_goals_are_canceled_with_their_client_where_the_server_says_so():
@@ -427,33 +168,6 @@ async def test_a_closed_client_sends_nothing(send):
         await served.client.aclose()
         with pytest.raises(turtleact.errors.TurtleactError, match="is closed: open another"):
             await send(served, goal())
-
-
-async def test_who_waits_hears_that_its_client_was_closed(send):
-    gate = Gate()
-    async with apart(gate.wait) as served, running(lambda: send(served, goal())) as sent:
-        await gate.started.wait()
-        await served.client.aclose()
-        await sent.done.wait()
-        assert str(sent.error) == "action '/count': the client was closed"
-
-
-async def test_who_waits_for_acceptance_hears_that_its_client_was_closed(send):
-    opened = anyio.Event()
-
-    async def ask(request):
-        await opened.wait()
-        return GoalResponse.ACCEPT
-
-    async with (
-        apart(count, goal_callback=ask) as served,
-        running(lambda: send(served, goal())) as sent,
-    ):
-        await settle()
-        await served.client.aclose()
-        await sent.done.wait()
-        assert str(sent.error) == "action '/count': the client was closed"
-        opened.set()
 
 
 @pytest.mark.parametrize("turns", range(4))
@@ -555,20 +269,6 @@ async def test_many_goals_at_once(send):
             group.start_soon(check, number)
 
 
-@pytest.mark.parametrize("kind", [GoalAborted, GoalCanceled])
-async def test_the_errors_of_a_failed_goal(kind):
-    async def act(request):
-        if kind is GoalAborted:
-            raise Abort("no")
-        await anyio.sleep_forever()
-
-    async with apart(act) as served, served.client.send_goal(goal()) as handle:
-        if kind is GoalCanceled:
-            await handle.cancel()
-        with pytest.raises(kind):
-            await handle.result()
-
-
 # --- servers that die ---------------------------------------------------------------------------
 
 
@@ -642,12 +342,8 @@ class CutCaller:
 @asynccontextmanager
 async def cut(execute: Any, **options: Any) -> AsyncIterator[tuple[Lab, Cut]]:
     """As `apart`, with a server that can die."""
-    transport = MemoryTransport()
-    graph: Any = Cut(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=graph) as node,
-    ):
+    async with far_and_near(near=Cut) as (far, node):
+        graph: Any = node.transport
         server = far.action_server(Count, "count", execute, **options)
         yield Lab(node, server, node.action_client(Count, "count"), local_server(server)), graph
 
@@ -772,13 +468,6 @@ async def test_tasks_that_attach_to_a_goal_at_once_share_it():
     assert readers == [[[1]], [[1]]]
 
 
-async def test_an_id_that_is_under_way_is_refused_here():
-    gate = Gate()
-    async with apart(gate.wait) as served, served.client.send_goal(goal(), goal_id=ID):
-        with pytest.raises(GoalRejected, match="still holds a goal with the id 000102"):
-            await served.client.send_goal(goal(), goal_id=ID)
-
-
 async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
     monkeypatch.setattr("turtleact.goals.remote.MOST_UNREAD", 3000)
 
@@ -814,13 +503,8 @@ class Other(Action, type_name="lab_interfaces/action/Other"):
 
 @pytest.mark.parametrize("order", [(Count, Other), (Other, Count)])
 async def test_two_actions_of_one_name_answer_for_each_other(order):
-    transport = MemoryTransport()
-    near: Any = Apart(transport)
     gate = Gate()
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    async with far_and_near() as (far, node):
         for action_type in order:
             far.action_server(action_type, "count", gate.wait)
         async with node.action_client(Count, "count").send_goal(goal(), goal_id=ID) as handle:
@@ -874,12 +558,7 @@ def awaitable(sent: Any) -> Any:
 @asynccontextmanager
 async def strange() -> AsyncIterator[tuple[Stranger, turtleact.ActionClient[Any, Any, Any]]]:
     """A stranger that serves `Count`, and the client of another node."""
-    transport = MemoryTransport()
-    near: Any = Apart(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
-    ):
+    async with far_and_near() as (far, node):
         yield Stranger(far), node.action_client(Count, "count")
 
 

@@ -23,8 +23,7 @@ from turtleact.goals.observers import GoalObserver
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .. import warm
-from ..goals.test_remote_server import Apart
-from ..lab import Count, Gate, feedback, goal, result, running, settle
+from ..lab import Apart, Count, Gate, feedback, goal, result, running, settle
 
 PROGRAM = Path(__file__).with_name("durable_server.py")
 

@@ -29,8 +29,7 @@ from turtleact.telemetry import instrument, new_traces, tracing
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import REQUEST_NOTE
 
-from ..goals.test_remote_server import Apart
-from ..lab import Count, Gate, count, goal, result, settle
+from ..lab import Apart, Count, Gate, count, goal, result, settle
 from .collector import Collector, collecting, events, exporting_to, values
 
 SERVER, CLIENT, INTERNAL = 2, 3, 1
