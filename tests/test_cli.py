@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -18,8 +17,6 @@ from turtleact.commands import VERBS, app
 from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
 
 from . import warm
-
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -110,14 +107,6 @@ def test_a_full_disk_is_an_error():
     assert outcome.stderr == ("turtleact: the output cannot be written: No space left on device\n")
 
 
-def test_an_output_that_breaks_at_the_last_flush_is_no_error_to_speak_of(ends, monkeypatch):
-    reading, writing = os.pipe()
-    monkeypatch.setattr(sys, "stdout", os.fdopen(writing, "w"))
-    os.close(reading)
-    assert ends(lambda: print("text") or 0) == (141, "")
-    sys.stdout.close()
-
-
 def test_characters_that_the_output_cannot_show_are_escaped(ends, monkeypatch):
     latin = io.TextIOWrapper(io.BytesIO(), "latin-1")
     monkeypatch.setattr(sys, "stdout", latin)
@@ -138,19 +127,6 @@ def test_help_is_printed(arguments, capsys):
 def test_the_version_is_printed(capsys):
     assert cli.run(["--version"]) == 0
     assert capsys.readouterr().out == f"turtleact {__version__}\n"
-
-
-def test_the_help_of_a_verb_may_lose_its_reader():
-    reading, writing = os.pipe()
-    os.close(reading)
-    ran = warm.run(
-        [sys.executable, "-m", "turtleact", "send-goal", "--help"],
-        stdout=writing,
-        stderr=subprocess.PIPE,
-        check=False,
-    )
-    os.close(writing)
-    assert (ran.returncode, ran.stderr) == (141, b"")
 
 
 def test_a_signal_that_the_parent_ignores_stays_ignored():
@@ -176,27 +152,3 @@ def test_help_imports_nothing_that_takes_long(line):
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     found = set(out.splitlines()[-1].split())
     assert found & {*DEPENDENCIES, "pydantic", "asyncio", "ssl"} == {"rich", "typer"}
-
-
-# --- the entry point ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("argument", ["--version", "--frobnicate"])
-def test_the_module_is_the_program(argument):
-    outcomes = [
-        subprocess.run([*program, argument], capture_output=True, text=True, check=False)
-        for program in (
-            [sys.executable, "-m", "turtleact"],
-            [sys.executable, "-c", "import sys; from turtleact.cli import main; sys.exit(main())"],
-        )
-    ]
-    assert (outcomes[0].returncode, outcomes[0].stdout, outcomes[0].stderr) == (
-        outcomes[1].returncode,
-        outcomes[1].stdout,
-        outcomes[1].stderr,
-    )
-
-
-def test_importing_the_module_runs_nothing(capsys):
-    import_module("turtleact.__main__")
-    assert capsys.readouterr() == ("", "")

@@ -17,28 +17,24 @@ As a program, this file is the server. It ends when the other end of its socket 
 from __future__ import annotations
 
 import atexit
+import ctypes
 import functools
 import gc
 import importlib
-import io
 import json
 import os
 import re
 import runpy
-import select
 import shlex
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import threading
-import time
 import types
 import warnings
-from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,8 +64,14 @@ OBEYED = {"PYTHONUNBUFFERED", "PYTHONUTF8", "PYTHONWARNINGS", "PYTHONDONTWRITEBY
 BEFORE = dict(os.environ)
 """The environment of the server."""
 
-STATUS = struct.Struct("=ci")
-"""What a server says of a process: ``p`` and its process ID, or ``s`` and its wait status."""
+LARGEST = 1 << 20
+"""A request has fewer bytes."""
+
+PR_SET_CHILD_SUBREAPER = 36
+"""Of prctl(2): makes orphans below this process its children."""
+
+ASKING = threading.Lock()
+"""Held while the server is asked for a program."""
 
 
 class Request(NamedTuple):
@@ -99,7 +101,9 @@ def start(command: Sequence[Any], **options: Any) -> subprocess.Popen[Any]:
     request = read(command, options) if is_warm() else None
     if request is None:
         return subprocess.Popen(command, preexec_fn=take_signals, **options)
-    return Program(command, request, options)
+    with Path(os.devnull).open("r+b", 0) as nothing:
+        nowhere = {each: nothing for each in STREAMS if options.get(each) == subprocess.DEVNULL}
+        return Program(command, request, **options | nowhere)
 
 
 def run(
@@ -168,216 +172,75 @@ def take_signals() -> None:
 
 
 class Program(subprocess.Popen[Any]):
-    """A program that the server has forked."""
+    """A program that the server has forked, and that is a child of this process all the same."""
 
-    def __init__(self, command: Sequence[Any], request: Request, options: dict[str, Any]) -> None:
-        # Not super().__init__, which would start a process.
-        self.args = command
-        self.returncode = None
-        self._readers: dict[str, Reader] = {}
-        self._status, status = os.pipe()
-        pipes: dict[str, int] = {}
-        passed: list[int] = []
-        opened = [status]
-        for number, name in enumerate(STREAMS):
-            theirs = options.get(name)
-            if theirs == subprocess.STDOUT:
-                passed.append(passed[1])
-                continue
-            if theirs == subprocess.PIPE:
-                ends = os.pipe()
-                pipes[name], theirs = (ends[1], ends[0]) if name == "stdin" else ends
-                opened.append(theirs)
-            elif theirs == subprocess.DEVNULL:
-                theirs = os.open(os.devnull, os.O_RDWR)
-                opened.append(theirs)
-            elif theirs is None:
-                theirs = number
-            passed.append(theirs if isinstance(theirs, int) else theirs.fileno())
-        for name in STREAMS:
-            setattr(self, name, opened_pipe(name, pipes.get(name), bool(options.get("text"))))
-        server().start(request, [status, *passed])
-        for each in opened:
-            os.close(each)
-        self.pid = self._read(b"p")
+    def __init__(self, command: Sequence[Any], request: Request, **options: Any) -> None:
+        self._request = request
+        super().__init__(command, **options)
 
-    def _read(self, kind: bytes) -> int:
-        said = os.read(self._status, STATUS.size)
-        if not said.startswith(kind):
+    def _execute_child(self, *arguments: Any) -> None:
+        """Starts the program; `subprocess.Popen` has made the pipes."""
+        to_read, to_write, out_read, out_write, err_read, err_write = arguments[10:16]
+        theirs = [to_read, out_write, err_write]
+        given = [number if each == -1 else each for number, each in enumerate(theirs)]
+        data = json.dumps(self._request).encode("utf-8", "surrogateescape")
+        with ASKING:
+            socket.send_fds(server(), [data], given)
+            self.pid = int.from_bytes(server().recv(4), "big")
+        self._child_created = True
+        for ours, its in zip((to_write, out_read, err_read), theirs, strict=True):
+            if ours != -1:
+                os.close(its)
+        if not self.pid:
             raise RuntimeError(f"{self.args!r} was not started")
-        return int(STATUS.unpack(said)[1])
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end, and return the exit status."""
-        if self.returncode is None:
-            end = select.poll()
-            end.register(self._status, select.POLLIN)
-            if not end.poll(None if timeout is None else timeout * 1000):
-                raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
-            self.returncode = os.waitstatus_to_exitcode(self._read(b"s"))
-            os.close(self._status)
-        return self.returncode
-
-    def poll(self) -> int | None:
-        """The exit status, or None if the program runs."""
-        try:
-            return self.wait(0)
-        except subprocess.TimeoutExpired:
-            return None
-
-    def send_signal(self, sig: int) -> None:
-        """Send a signal, unless the program has ended."""
-        if self.poll() is None:
-            with suppress(ProcessLookupError):  # ended since, but its status has not come yet
-                os.kill(self.pid, sig)
-
-    def terminate(self) -> None:
-        """Send SIGTERM."""
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        """Send SIGKILL."""
-        self.send_signal(signal.SIGKILL)
-
-    def communicate(
-        self, input: Any = None, timeout: float | None = None
-    ) -> tuple[Any, Any]:  # as in subprocess
-        """Read all output and wait for the end."""
-        end = None if timeout is None else time.monotonic() + timeout
-        for name in ("stdout", "stderr"):
-            stream = getattr(self, name)
-            if name not in self._readers and stream is not None and not stream.closed:
-                self._readers[name] = Reader(stream)
-        if self.stdin is not None and not self.stdin.closed:
-            with suppress(BrokenPipeError):
-                if input:
-                    self.stdin.write(input)
-                self.stdin.close()
-        for reader in self._readers.values():
-            reader.join(None if end is None else max(0.0, end - time.monotonic()))
-            if reader.is_alive():
-                raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
-        self.wait(None if end is None else max(0.0, end - time.monotonic()))
-        out, err = (self._readers.get(name) for name in ("stdout", "stderr"))
-        return out and out.text, err and err.text
-
-    def __exit__(self, *_: object) -> None:
-        for stream in (self.stdin, self.stdout, self.stderr):
-            if stream is not None:
-                stream.close()
-        self.wait()
-
-
-def wait_until_stopped(process: subprocess.Popen[Any]) -> None:
-    """Wait until a signal has stopped a program."""
-    if not isinstance(process, Program):
-        assert os.WIFSTOPPED(os.waitpid(process.pid, os.WUNTRACED)[1])
-        return
-    while process.poll() is None:
-        state = Path(f"/proc/{process.pid}/stat").read_text("utf-8").rpartition(") ")[2][0]
-        if state == "T":
-            return
-        time.sleep(0.002)
-    raise AssertionError(f"{process.args!r} has ended")
-
-
-class Reader(threading.Thread):
-    """Reads a stream to its end and closes it."""
-
-    def __init__(self, stream: IO[Any]) -> None:
-        super().__init__(daemon=True)
-        self.text: Any = None
-        self._stream = stream
-        self.start()
-
-    def run(self) -> None:
-        """Read."""
-        with self._stream:
-            self.text = self._stream.read()
-
-
-def opened_pipe(name: str, descriptor: int | None, is_text: bool) -> IO[Any] | None:
-    if descriptor is None:
-        return None
-    return os.fdopen(descriptor, ("w" if name == "stdin" else "r") + ("" if is_text else "b"))
-
-
-class Server:
-    """The server of this process."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._socket, theirs = socket.socketpair()
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, __file__, str(theirs.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                pass_fds=[theirs.fileno()],
-            )
-        atexit.register(self.close)
-
-    def start(self, request: Request, descriptors: list[int]) -> None:
-        """Ask for a program with these: where its status goes, and its standard streams."""
-        data = json.dumps(request).encode("utf-8", "surrogateescape")
-        with self._lock:
-            socket.send_fds(self._socket, [struct.pack("=I", len(data))], descriptors)
-            self._socket.sendall(data)
-
-    def close(self) -> None:
-        """End the server; the programs go on."""
-        self._socket.close()
-        self._process.wait()
 
 
 @functools.cache
-def server() -> Server:
-    """The server; the first call starts it."""
-    return Server()
+def server() -> socket.socket:
+    """The socket of the server; the first call starts it."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, __file__, str(theirs.fileno())],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            pass_fds=[theirs.fileno()],
+        )
+    atexit.register(process.wait)
+    atexit.register(ours.close)
+    return ours
 
 
 # --- the server itself ------------------------------------------------------------------------
 
 
 def serve(control: socket.socket) -> tuple[Request, list[int]] | None:
-    """Fork a process for each request, and tell how they end.
+    """Fork a process for each request.
+
+    The process between the server and a program ends at once. So the program becomes a child of
+    the process that asked for it, which can wait for its end.
 
     Returns:
-        In a new process, what it was forked for, and its descriptors; in the server None, at the
-        end.
+        In a program, what it was forked for, its standard streams, and where to tell that it has
+        them; in the server None, at the end.
     """
-    running: dict[int, tuple[int, int]] = {}
-    events = select.poll()
-    events.register(control, select.POLLIN)
     while True:
-        for descriptor, _ in events.poll():
-            if descriptor in running:
-                pid, status = running.pop(descriptor)
-                events.unregister(descriptor)
-                tell(status, b"s", os.waitpid(pid, 0)[1])
-                os.close(status)
-                os.close(descriptor)
-                continue
-            size, descriptors, *_ = socket.recv_fds(control, 4, 4)
-            if not size:
-                return None
-            data = control.recv(struct.unpack("=I", size)[0], socket.MSG_WAITALL)
-            pid = os.fork()
-            if pid == 0:
-                control.detach()
-                request = Request(*json.loads(data.decode("utf-8", "surrogateescape")))
-                return request, descriptors
-            for each in descriptors[1:]:
-                os.close(each)
-            end = os.pidfd_open(pid)
-            running[end] = pid, descriptors[0]
-            events.register(end, select.POLLIN)
-
-
-def tell(status: int, kind: bytes, number: int) -> None:
-    """Tell the one who asked for a program; it may be gone."""
-    with suppress(BrokenPipeError):
-        os.write(status, STATUS.pack(kind, number))
+        data, descriptors, *_ = socket.recv_fds(control, LARGEST, len(STREAMS))
+        if not data:
+            return None
+        told, telling = os.pipe()
+        if os.fork() == 0:
+            if os.fork():
+                os._exit(0)
+            control.detach()
+            request = Request(*json.loads(data.decode("utf-8", "surrogateescape")))
+            return request, [*descriptors, telling]
+        os.wait()
+        for each in (*descriptors, telling):
+            os.close(each)
+        control.send(os.read(told, 4) or bytes(4))
+        os.close(told)
 
 
 def become(request: Request, descriptors: list[int]) -> NoReturn:
@@ -388,10 +251,10 @@ def become(request: Request, descriptors: list[int]) -> NoReturn:
         os.setsid()
     elif request.group == "own":
         os.setpgid(0, 0)
-    status, *streams = descriptors
+    *streams, telling = descriptors
     for number, each in enumerate(streams):
         os.dup2(each, number)
-    tell(status, b"p", os.getpid())
+    os.write(telling, os.getpid().to_bytes(4, "big"))
     os.closerange(len(streams), os.sysconf("SC_OPEN_MAX"))
     os.environ.clear()
     os.environ.update(request.environment)
@@ -421,16 +284,15 @@ def open_streams() -> None:
     is_unbuffered = bool(os.environ.get("PYTHONUNBUFFERED"))
     is_utf8 = os.environ.get("PYTHONUTF8") == "1"
     for number, name in enumerate(STREAMS):
-        before = getattr(sys, f"__{name}__")
-        size = 0 if is_unbuffered and name != "stdin" else -1
-        data = os.fdopen(number, "wb" if number else "rb", size, closefd=False)
-        stream = io.TextIOWrapper(
-            data,
+        before = getattr(sys, name)
+        stream = open(  # noqa: SIM115  # it has a number, and is never closed
+            number,
+            "w" if number else "r",
             encoding="utf-8" if is_utf8 else before.encoding,
             errors="surrogateescape" if is_utf8 and name != "stderr" else before.errors,
-            line_buffering=not is_unbuffered and (name == "stderr" or data.isatty()),
-            write_through=is_unbuffered,
+            closefd=False,
         )
+        stream.reconfigure(line_buffering=is_unbuffered or name == "stderr" or stream.isatty())
         setattr(sys, name, stream)
         setattr(sys, f"__{name}__", stream)
 

@@ -3,7 +3,7 @@
 ``/now`` succeeds, ``/fail`` aborts, ``/reject`` rejects, ``/hold`` ends when it is canceled and
 ``/stubborn`` not even then, ``/refuse`` refuses to be canceled, ``/deaf`` never answers that,
 ``/quit`` cancels itself, ``/consider`` takes for ever to accept, ``/crash`` raises, ``/strange``
-says strange things, ``/flood`` says more than anybody reads.
+says strange things.
 """
 
 from __future__ import annotations
@@ -58,12 +58,6 @@ async def stubborn(goal):
             await anyio.sleep_forever()
 
 
-async def flood(goal):
-    while True:
-        yield Fibonacci.Feedback(sequence=[0] * 10_000)
-        await anyio.sleep(0)
-
-
 async def crash(goal):
     raise ZeroDivisionError("by hand")
     yield
@@ -100,7 +94,7 @@ async def quit_(goal, handle):
 @asynccontextmanager
 async def world(speed, seed):
     async with open_node("stage") as node:
-        for body in (now, fail, hold, stubborn, crash, flood):
+        for body in (now, fail, hold, stubborn, crash):
             node.action_server(Fibonacci, f"/{body.__name__}", body)
         node.action_server(Fibonacci, "/quit", quit_)
         node.action_server(Strange, "/strange", strange)

@@ -11,7 +11,7 @@ import pytest
 
 from turtleact import open_node, open_zenoh
 from turtleact.commands import graph, send_goal
-from turtleact.commands.graph import none_in_domain, not_served
+from turtleact.commands.graph import none_in_domain
 from turtleact.commands.settings import ConnectOptions
 from turtleact.errors import TurtleactError
 
@@ -36,17 +36,6 @@ def without_router(monkeypatch):
 
     monkeypatch.setattr(graph, "open_transport", refuse)
     return asked
-
-
-@pytest.mark.parametrize(
-    ("names", "said"),
-    [
-        (["/a", "/lookup"], " (there are: /a, /lookup); is your server running?"),
-        (["/count"], ", did you mean '/count'?; is your server running?"),
-    ],
-)
-def test_the_error_asks_for_the_server_and_says_what_is_in_reach(names, said):
-    assert f"action '/cuont': nobody serves it{said}" in str(not_served("/cuont", names))
 
 
 async def test_an_empty_domain_names_the_domains_that_have_nodes(at):
@@ -87,10 +76,6 @@ def test_a_world_is_started_with_the_reason(turtleact, without_router):
             "server running?",
         ],
     )
-
-
-def test_the_actions_of_that_world_are_named(turtleact, without_router):
-    assert "(there are: /command_turtle, /fib" in turtleact("send-goal", "zzz").err
 
 
 def test_a_timeout_of_zero_starts_no_world(turtleact, without_router):

@@ -328,24 +328,6 @@ def test_a_graph_that_does_not_answer_is_not_waited_for():
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
 
 
-@pytest.mark.parametrize(
-    ("words", "needs"),
-    [
-        (["se"], ["pydantic", "typer"]),
-        (["topic", "info", "--connect", "tcp/127.0.0.1:1", ""], ["pydantic", "typer", "zenoh"]),
-        ([*SPAWN, ""], ["pydantic", "typer", "yaml"]),
-    ],
-)
-def test_a_tab_imports_no_more_than_it_needs(words, needs):
-    heavy = {"anyio", "asyncio", "numpy", "pydantic", "rich", "typer", "yaml", "zenoh"}
-    code = (
-        "from turtleact.commands import output; cli.PATIENCE = 60.0; leave = output.leave;"
-        "output.leave = lambda status: ("
-        f"print(*sorted({heavy} & {{*sys.modules}})), leave(status))"
-    )
-    assert tab_in_a_process(*words, code=code).stdout.splitlines()[-1].split() == needs
-
-
 @pytest.fixture
 def program(tmp_path):
     """A folder with the program ``turtleact``, which may take its time to complete."""

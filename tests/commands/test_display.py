@@ -230,23 +230,6 @@ def test_a_trail_has_the_colour_of_its_turtle_and_no_name_covers_it(drawn):
     assert f"\x1b[1;{colour}m→" in text
 
 
-def test_names_of_turtles_stand_beside_them_and_cover_no_turtle(drawn):
-    others = [("a_name_of_many_letters", at(8, 8)), ("b", at(8.5, 8)), ("wide\x1b", at(1, 1))][:2]
-    rows = map_of(drawn(driving(at(10.9, 5), others=others), "send-goal", "patrol", goal((1, 1))))
-    [row] = [row for row in rows if "a_name" in row]
-    assert re.search(rf"a_name_of_m…{BLANK}→→?|→→?{BLANK}a_name_of_m…", row)
-    [row] = [row for row in rows if "turtle1" in row]
-    assert row.rstrip(BLANK).endswith(f"turtle1{BLANK}→")
-
-
-@pytest.mark.parametrize("x", [2.1, 2.3, 2.5])
-def test_the_name_of_a_turtle_does_not_run_into_the_number_of_a_target(drawn, x):
-    route = [at(8, 8), at(x, 8, math.pi)]
-    rows = map_of(drawn(driving(*route), "send-goal", "patrol", goal((8, 8), (2, 8))))
-    assert not re.search(r"turtle1\d", "".join(rows))
-    assert "turtle1" in "".join(rows)
-
-
 def test_a_turtle_of_another_action_is_followed_by_the_name_of_the_action(drawn):
     text = drawn(driving(at(5, 5), name="/turtle1/patrol"), "send-goal", "turtle1/patrol")
     assert any("→" in row for row in map_of(text))

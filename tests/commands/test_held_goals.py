@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import re
 import sys
@@ -14,7 +13,6 @@ import anyio
 import pytest
 
 from turtleact import QoS, open_node
-from turtleact.commands import graph
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import (
     UUID,
@@ -26,7 +24,6 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.tasks.clock import EPOCH
-from turtleact.testing import FaultyTransport
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
 HOLD = ("71a906369b85473ab15bb0160400f6a4", "71a9ffff9b85473ab15bb0160400f6a4")
@@ -139,17 +136,6 @@ async def leave(node, seconds):
     await node.aclose()
 
 
-def test_a_server_that_has_told_of_no_goal_is_not_waited_for_long(on_graph):
-    ran = on_graph(peer(says=False), "goals")
-    assert ran == (0, "", "turtleact: no server in reach holds a goal\n")
-
-
-def test_a_state_that_is_none_is_unknown(on_graph):
-    lines = on_graph(peer(77), "goals").out.splitlines()
-    assert lines[1].split()[2] == "UNKNOWN"
-    assert lines[1].endswith("gone")
-
-
 def test_a_goal_that_is_gone_when_its_result_is_asked_for_is_an_error(on_graph):
     ran = on_graph(peer(2), "result", STRANGER.hex())
     assert (ran.status, ran.out) == (1, "")
@@ -170,35 +156,6 @@ def test_a_goal_that_is_gone_when_its_result_is_asked_for_is_an_error(on_graph):
 def test_the_reason_why_a_goal_is_not_canceled_is_that_of_the_server(on_graph, code, reason):
     ran = on_graph(peer(2, cancel_code=code), "cancel", STRANGER.hex())
     assert ran == (1, f"{STRANGER.hex()} of /far: not canceled: {reason}\n", "")
-
-
-@pytest.mark.parametrize(("round_trip", "found"), [(0.0, 0), (0.4, 1)])
-def test_goals_that_are_far_away_are_waited_for(turtleact, graphs, monkeypatch, round_trip, found):
-    @asynccontextmanager
-    async def open_far(reach, mode=None):
-        async with graphs.open_graph(peer(2))(reach) as transport:
-            far = FaultyTransport(transport, delay=1.0)
-            far.round_trip = round_trip
-            async with far:
-                yield far
-
-    monkeypatch.setattr(graph, "open_transport", open_far)
-    assert turtleact("goals", "--json").out.count("\n") == found
-
-
-def test_a_server_that_sends_much_does_not_hide_the_goals_of_another_one(on_graph, graphs):
-    @asynccontextmanager
-    async def busy(transport):
-        async with open_node("busy", transport=transport) as node:
-            latched = QoS(depth=2, durability="transient_local")
-            statuses = node.publisher(GoalStatusArray, "far/_action/status", latched)
-            info = GoalInfo(UUID(bytes([1] * 16)), Time(1, 0))
-            for _ in range(2):
-                statuses.publish(GoalStatusArray([GoalStatusMessage(info, 2)]))
-            yield
-
-    ran = on_graph(graphs.in_turn(busy, peer(2)), "goals")
-    assert [line[:4] for line in ran.out.splitlines()[1:]] == ["0101", "0001"]
 
 
 # --- cancel ---------------------------------------------------------------------------------
@@ -290,11 +247,6 @@ def test_of_an_action_with_several_goals_one_is_given_or_all(on_graph, graphs):
     assert "action '/hold' has 2 running goals, give one: " in ran.err
 
 
-def test_an_action_without_a_running_goal_has_none_to_cancel(on_graph, graphs):
-    ran = on_graph(graphs.goals, "cancel", "fail")
-    assert (ran.status, ran.out) == (1, "/fail: not canceled: no server in reach holds it\n")
-
-
 def test_on_a_terminal_the_clients_of_goals_are_explained(on_graph, graphs, monkeypatch):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     ran = on_graph(graphs.goals, "goals")
@@ -333,12 +285,6 @@ def sent(order, wait=1.5):
     return nodes
 
 
-def test_a_result_is_waited_for_without_feedback(on_graph, graphs):
-    ran = on_graph(graphs.in_turn(graphs.fibonacci, sent(3)), "result", "c53d")
-    assert ran.out.startswith("Result:\n    sequence:\n    - 0\n")
-    assert ran.out.endswith("\nGoal finished with status: SUCCEEDED\n")
-
-
 def test_a_result_that_is_kept_is_printed_at_once(on_graph, graphs):
     ran = on_graph(graphs.goals, "result", graphs.IDS["done"])
     assert ran == (
@@ -371,11 +317,6 @@ def test_the_status_tells_of_a_goal_that_was_canceled(on_graph, graphs):
     assert ran.out.endswith("\nGoal finished with status: CANCELED\n")
 
 
-def test_the_name_of_an_action_means_its_only_running_goal(on_graph, graphs):
-    ran = on_graph(graphs.goals, "watch", "count")
-    assert (ran.status, ran.out.splitlines()[-1]) == (0, "Goal finished with status: SUCCEEDED")
-
-
 @pytest.mark.parametrize(
     ("name", "status", "problem"),
     [
@@ -406,33 +347,6 @@ def test_a_goal_that_nobody_holds_is_an_error(on_graph, graphs, verb):
     ran = on_graph(graphs.goals, verb, "abcdef")
     assert (ran.status, ran.out) == (1, "")
     assert "no server in reach holds a goal abcdef; 'turtleact goals' lists all goals" in ran.err
-
-
-def test_feedback_that_has_come_with_the_result_is_printed_before_it(on_graph, graphs):
-    @asynccontextmanager
-    async def nodes(transport):
-        feedback_message = interface(f"{FIBONACCI}_FeedbackMessage")
-        get_result = interface(f"{FIBONACCI}_GetResult")
-        async with open_node("late", transport=transport) as node:
-            feedback = node.publisher(feedback_message, "/far/_action/feedback")
-
-            def publish():
-                for goal_id in (STRANGER, bytes(15) + b"x"):
-                    parts = Fibonacci.Feedback(sequence=[goal_id[15]])
-                    feedback.publish(feedback_message(UUID(goal_id), parts))
-
-            async def end(_):
-                await anyio.sleep(0)
-                asyncio.get_running_loop().call_soon(publish)  # when the caller is woken already
-                return get_result.Response(status=4, result=Fibonacci.Result())
-
-            async with peer(2, end=end)(transport):
-                yield
-
-    assert on_graph(nodes, "watch", STRANGER.hex()).out == (
-        "Feedback:\n    sequence:\n    - 15\n\n"
-        "Result:\n    sequence: []\n\nGoal finished with status: SUCCEEDED\n"
-    )
 
 
 # --- servers that are lost, or say nothing --------------------------------------------------

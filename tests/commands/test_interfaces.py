@@ -142,11 +142,6 @@ def test_control_characters_of_comments_do_not_reach_the_terminal(turtleact, ins
     assert out == "# red[31m\u3000\u200d\nuint8 r\t# a\tb\n"
 
 
-def test_a_sourced_file_with_another_definition_is_the_one_that_is_shown(turtleact, install):
-    install("turtlesim/msg/Color", "# Another.\nfloat64 hue\n")
-    assert turtleact("interface", "show", "turtlesim/msg/Color").out == "# Another.\nfloat64 hue\n"
-
-
 def test_a_class_without_a_file_is_shown_with_the_comments_of_its_docstrings(turtleact):
     shown = turtleact("interface", "show", "turtleact_interfaces/GoTo").out
     assert shown.startswith("# Go to a place.\n\n# Where to go, which turtle goes, and how")
@@ -158,9 +153,6 @@ def test_the_type_may_come_from_a_pipe(turtleact, stdin_of):
     assert turtleact("interface", "show", "-").out == "string data\n"
 
 
-# --- proto ----------------------------------------------------------------------------------
-
-
 # --- what is known --------------------------------------------------------------------------
 
 
@@ -168,11 +160,6 @@ def test_interfaces_of_a_folder_are_known(turtleact, install):
     folder = install("paint_interfaces/msg/Hue", "float64 hue\n", is_sourced=False)
     ran = turtleact("interface", "show", "paint_interfaces/msg/Hue", "--interfaces", str(folder))
     assert (ran.status, ran.out) == (0, "float64 hue\n")
-
-
-def test_a_folder_that_is_not_there_is_an_error(turtleact):
-    ran = turtleact("interface", "list", "--interfaces", "/nowhere")
-    assert (ran.status, ran.out, ran.err) == (1, "", "turtleact: /nowhere: no such folder\n")
 
 
 # --- near the working directory -------------------------------------------------------------

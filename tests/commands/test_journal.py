@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands import journal
 from turtleact.goals.records import GoalChange, GoalRecord
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import WireFormat, type_hash
@@ -115,17 +114,6 @@ def test_goals_lists_a_journal(turtleact, file):
     ]
 
 
-def test_listing_goals_imports_nothing_that_takes_long(file):
-    heavy = "{'anyio', 'asyncio', 'numpy', 'rich', 'starlette', 'yaml', 'zenoh'}"
-    code = (
-        "import sys; from turtleact import cli;"
-        f"sys.argv = ['turtleact', 'goals', '--journal', {str(file)!r}]; cli.main();"
-        f"print(sorted({heavy} & {{*sys.modules}}))"
-    )
-    out = subprocess.check_output([sys.executable, "-c", code], text=True)
-    assert out.splitlines()[-1] == "[]"
-
-
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [
@@ -161,13 +149,6 @@ def test_each_goal_is_a_json_object(turtleact, file):
     }
 
 
-def test_a_long_list_is_printed_in_parts(turtleact, file, monkeypatch):
-    whole = turtleact("goals", "--journal", str(file))
-    monkeypatch.setattr(journal, "BLOCK", 1)
-    parts = turtleact("goals", "--journal", str(file))
-    assert [row[:3] for row in rows(parts)] == [row[:3] for row in rows(whole)]
-
-
 def test_an_empty_journal_is_told(turtleact, path):
     Database(path).close()
     ran = turtleact("goals", "--journal", str(path))
@@ -197,17 +178,6 @@ def test_a_missing_result_is_one_clear_line(turtleact, file, digits, status, pro
     ran = turtleact("result", digits, "--journal", str(file))
     assert (ran.status, ran.out, ran.err.count("\n")) == (status, "", 1)
     assert problem in ran.err
-
-
-def test_the_beginning_of_several_ids_is_refused(turtleact, path):
-    now = time.time_ns()
-    database = Database(path)
-    twins = [record(1, now, id=bytes(15) + bytes([last])) for last in range(2)]
-    database.write([Accept(each) for each in twins], is_durable=False)
-    database.close()
-    ran = turtleact("result", "0000", "--journal", str(path))
-    assert ran.status == 2
-    assert "is the beginning of several goals" in ran.err
 
 
 def test_an_aborted_goal_has_its_status_and_reason(turtleact, path):

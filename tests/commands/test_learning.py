@@ -82,11 +82,6 @@ def test_a_goal_is_sent_by_a_type_name_that_is_not_known_here(at_robot):
     assert ran.out.startswith("Waiting for an action server")
 
 
-def test_a_misspelt_field_of_a_learned_type_is_suggested(at_robot):
-    ran = at_robot("send-goal", "/dig", "{deph: 3}")
-    assert "unknown field 'deph', did you mean 'depth'?" in ran.err
-
-
 def test_a_service_is_called_and_a_topic_is_shown(at_robot):
     assert "held=True" in at_robot("service", "call", "/grip", "{force: 2}").out
     assert at_robot("topic", "echo", "/battery", "--once").out == "charge: 0.5\n---\n"

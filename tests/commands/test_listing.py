@@ -89,16 +89,6 @@ def test_two_servers_of_one_name_are_both_listed(on_graph, graphs):
     as_recorded(on_graph, twice, "two_servers_info")
 
 
-def test_of_two_nodes_of_one_name_only_those_that_serve_are_counted(on_graph, graphs):
-    @asynccontextmanager
-    async def idle(transport):
-        async with open_node("fibonacci_action_server", transport=transport):
-            yield
-
-    ran = on_graph(graphs.in_turn(graphs.fibonacci, idle), "action", "info", "/fibonacci")
-    assert ran.out.endswith("Action servers: 1\n    /fibonacci_action_server\n")
-
-
 @pytest.mark.parametrize(
     ("name", "hint"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -32,15 +31,6 @@ def test_control_characters_are_escaped(text, shown):
 def test_a_note_is_a_line_on_stderr(capsys):
     note("by the way\x07")
     assert capsys.readouterr() == ("", "turtleact: by the way\\x07\n")
-
-
-def test_a_note_to_a_reader_that_has_gone_is_dropped(monkeypatch):
-    reading, writing = os.pipe()
-    os.close(reading)
-    with os.fdopen(writing, "w") as stderr:
-        monkeypatch.setattr(sys, "stderr", stderr)
-        note("by the way")
-        note("again")
 
 
 def test_a_stderr_that_is_full_does_not_stop_the_goal():

@@ -154,13 +154,3 @@ def test_paused_goals_are_listed_as_such(on_graph):
     lines = on_graph(Walk(0, 1), "goals").out.splitlines()
     states = [re.split("  +", line)[2] for line in lines[1:]]
     assert states == ["EXECUTING (paused)", "ACCEPTED (paused)", "EXECUTING"]
-
-
-def test_it_must_be_clear_which_goals_are_meant(turtleact):
-    ran = turtleact("pause")
-    assert ran.problem == "give the ids of goals, or --all; 'turtleact goals' lists them"
-    assert ran.status == 2
-
-
-def test_an_action_stands_for_its_only_running_goal(on_graph):
-    assert on_graph(Walk(), "pause", "nobody").status == 1

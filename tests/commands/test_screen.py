@@ -53,19 +53,6 @@ def test_the_last_map_is_as_large_as_the_window_allows(columns, rows, side):
     assert max(map(len, frame.splitlines())) <= columns
 
 
-def test_a_window_of_30_by_10_shows_no_map():
-    text, _ = on_terminal("patrol", PATROL, "--speed", "max", columns=30, rows=10)
-    lines = standing(text).partition("Result:")[0].splitlines()
-    assert len(lines) < 10
-    assert max(map(len, lines)) <= 30
-    assert "┌" not in text
-
-
-def test_a_value_that_does_not_remain_is_progress():
-    text, _ = on_terminal("go_to", "{x: 9, y: 7}")
-    assert re.search(r" \d+%  distance_remaining \d\.\d\d", text)
-
-
 def test_feedback_that_was_asked_for_is_a_line_each_above():
     text, _ = on_terminal("fibonacci", "order: 3", "-f", "--speed", "10")
     lines = [line.strip() for line in text.replace("\r", "\n").splitlines()]

@@ -18,14 +18,12 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands import graph, send_goal
+from turtleact.commands import send_goal
 from turtleact.commands.goal_printer import GoalPrinter
-from turtleact.interfaces import from_text
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.simulation_interfaces.msg import SimulationState
 from turtleact.interfaces.standard.simulation_interfaces.srv import (
     GetSimulationState,
-    SetSimulationState,
 )
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint
@@ -172,12 +170,6 @@ def test_a_type_that_only_the_world_declares_is_known(start):
     assert "not as turtleact_interfaces/action/GoTo" in ran.err
 
 
-def test_a_malformed_name_is_shown_with_a_caret(turtleact):
-    ran = turtleact("send-goal", "/fib onacci", FIBONACCI)
-    assert (ran.status, ran.out) == (2, "")
-    assert ran.err.endswith("\n  /fib onacci\n      ^\n")
-
-
 # --- the goal -------------------------------------------------------------------------------
 
 
@@ -192,15 +184,6 @@ def test_a_goal_is_checked_with_the_type_that_the_graph_gives(on_stage):
     ran = on_stage("send-goal", "now", "{orderr: 5}")
     assert (ran.status, ran.out) == (2, WAITING)
     assert ran.err.endswith("turtleact: goal: unknown field 'orderr', did you mean 'order'?\n")
-
-
-def test_a_goal_may_begin_with_a_dash(on_stage):
-    assert "\n     order: 7\n" in on_stage("send-goal", "now", "---\norder: 7").out
-
-
-@pytest.mark.parametrize("arguments", [["-f"], ["--feedback"]])
-def test_options_may_stand_before_the_arguments(on_stage, arguments):
-    assert "Feedback:" in on_stage("action", "send_goal", *arguments, "/fail", "order: 2").out
 
 
 # --- JSON -----------------------------------------------------------------------------------
@@ -288,12 +271,6 @@ def test_a_paused_world_is_told_of(on_graph, graphs, state, note):
     assert note in on_graph(echoing, *line).err
 
 
-def test_the_command_that_resumes_a_world_is_parsed():
-    command = shlex.split(graph.RESUMES.partition("'")[2].partition("' resumes")[0].rstrip("'"))
-    text = from_text(SetSimulationState.Request, command[-1])
-    assert text.state.state == SimulationState.STATE_PLAYING
-
-
 @pytest.mark.parametrize("name", ["stubborn", "refuse", "deaf"])
 def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     ran = start("send-goal", name, "-t", "0.01").end()
@@ -372,22 +349,6 @@ async def late(transport):
     async with open_node("stage", transport=transport) as node:
         node.action_server(Fibonacci, "/stuck", think, goal_callback=think)
         yield
-
-
-def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, monkeypatch):
-    def note(printer, text):
-        print(text, file=sys.stderr)
-        if "waiting for it" in text:
-            signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
-    monkeypatch.setattr(GoalPrinter, "note", note)
-    ran = on_graph(late, "send-goal", "stuck")
-    assert ran.err == (
-        "no answer from the server for 0.01 s; waiting for it\n"
-        "waiting for the server's answer; Ctrl-C again exits at once\n"
-        "interrupted before the goal was accepted, so it was withdrawn\n"
-    )
 
 
 def test_a_server_that_does_not_take_the_goal_is_told_of(start):
@@ -502,24 +463,7 @@ def stuck():
     os.close(writing)
 
 
-@pytest.mark.parametrize(
-    ("first", "second"), [(signal.SIGINT, signal.SIGTERM), (signal.SIGHUP, signal.SIGINT)]
-)
-def test_a_second_signal_ends_a_program_that_is_stuck_in_its_output(stuck, first, second):
-    program = stuck()
-    program.send_signal(first)
-    program.send_signal(second)
-    assert program.wait(30) - 128 in (first, second)
-
-
 # --- pipes ----------------------------------------------------------------------------------
-
-
-def test_each_line_reaches_a_pipe_at_once(start):
-    program = start("send-goal", "hold", "--feedback")
-    program.wait_for("Feedback:")  # else this would wait for ever
-    program.send(signal.SIGINT)
-    assert program.end().status == 130
 
 
 def test_a_reader_that_goes_away_ends_the_program_quietly(start):

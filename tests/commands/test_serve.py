@@ -217,13 +217,6 @@ def test_it_says_when_it_is_ready_and_where(shared):
     assert shared.ready == f"ready at {shared.at}, domain 0: /endless, /quick\n"
 
 
-def test_a_goal_is_sent_from_another_process(shared):
-    status, out, err = shared.run("send-goal", "quick", "order: 3", "--feedback", "--plain")
-    assert (status, err) == (0, "")
-    assert out.count("Feedback:") == 2
-    assert out.endswith("\nGoal finished with status: SUCCEEDED\n")
-
-
 def test_all_feedback_comes_and_none_after_the_result(shared):
     status, out, _ = shared.run("send-goal", "quick", "order: 40", "--json")
     events = [json.loads(line) for line in out.splitlines()]
@@ -362,42 +355,12 @@ def test_a_sender_that_waits_for_a_killed_server_says_so_and_does_not_promise_it
     assert err.startswith("turtleact: if the server returns and continues the goal, 'turtleact")
 
 
-def test_ctrl_c_ends_the_sender_with_its_status_though_the_server_is_killed(served):
-    sender = served.start("send-goal", "endless", "--feedback", "--plain")
-    first_lines(sender, "Feedback:")
-    served.process.send_signal(signal.SIGSTOP)  # it hears of no cancel
-    sender.send_signal(signal.SIGINT)
-    first_lines(sender, "Canceling")
-    served.process.kill()
-    _, err = sender.communicate(timeout=PATIENCE)
-    assert (sender.returncode, "goes on with" in err) == (130, False)
-    assert "turtleact: action '/endless': the server went away before " in err
-
-
 def test_a_taken_port_is_one_clear_line(shared, lab):
     other = start(lab, "serve", "--no-sim", "--listen", shared.at)
     out, err = other.communicate(timeout=PATIENCE)
     assert (other.returncode, out) == (1, "")
     assert err.startswith(f"turtleact: cannot listen at {shared.at}: ")
     assert err.count("\n") == 1
-
-
-def test_a_second_server_on_the_graph_of_the_first_lists_only_its_own_actions(shared, lab):
-    with serving_beside(shared, lab) as ready:
-        assert ready == f"ready at {shared.at}, domain 0: no actions\n"
-
-
-@contextmanager
-def serving_beside(served: Served, lab: Path) -> Iterator[str]:
-    other = start(lab, "serve", "--no-sim", "--connect", served.at)
-    try:
-        assert other.stdout is not None
-        yield other.stdout.readline()
-        other.send_signal(signal.SIGTERM)
-        assert other.wait(PATIENCE) == 0
-    finally:
-        other.kill()
-        other.communicate()
 
 
 def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
@@ -474,18 +437,6 @@ def test_the_world_is_served_with_its_actions(tmp_path):
         assert (status, out.endswith("status: SUCCEEDED\n")) == (0, True)
         status, out, _ = server.run("topic", "echo", "/turtle1/pose", "--once")
         assert (status, out.startswith("x: ")) == (0, True)
-
-
-def test_turtlesim_node_serves_what_turtlesim_serves_and_nothing_else(turtleact, monkeypatch):
-    asked: dict[str, object] = {}
-
-    def open_world(**options: object) -> None:
-        asked.update(options)
-        raise TurtleactError("enough")
-
-    monkeypatch.setattr("turtleact.sim.world_node.open_world", open_world)
-    assert turtleact("run", "turtlesim", "turtlesim_node").err == "turtleact: enough\n"
-    assert (asked["turtlesim_only"], asked["turtles"]) == (True, 1)
 
 
 def test_an_action_that_another_node_serves_is_refused_with_its_name(shared, lab):
@@ -579,40 +530,6 @@ def test_a_built_in_action_makes_way_for_a_server_in_another_process(tmp_path):
         _, _, err = server.end(signal.SIGTERM)
     note = "/fibonacci is served by /student now: the built-in action withdraws\n"
     assert err.count(note) == 1
-
-
-OWN_FIBONACCI = """
-import anyio
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-
-
-@turtleact.action(Fibonacci, "fibonacci")
-async def mine(goal):
-    yield Fibonacci.Result(sequence=[7])
-
-
-@turtleact.action(Fibonacci, "slow")
-async def slow(goal):
-    try:
-        yield Fibonacci.Feedback(partial_sequence=[0])
-        await anyio.sleep_forever()
-    finally:
-        with anyio.CancelScope(shield=True):
-            await anyio.sleep(0.3)
-"""
-
-
-def test_a_withdrawn_built_in_action_does_not_return_when_the_server_ends(tmp_path):
-    """Another goal's clean-up takes a while, in which the built-in action could return."""
-    (tmp_path / "servedown.py").write_text(OWN_FIBONACCI)
-    with serving(tmp_path, "servedown") as server:
-        sender = server.start("send-goal", "slow", "--feedback", "--plain")
-        first_lines(sender, "Feedback:")
-        _, _, err = server.end(signal.SIGTERM)
-        sender.communicate(timeout=PATIENCE)
-    assert "/fibonacci is served by /turtleact now: the built-in action withdraws\n" in err
-    assert "the built-in action serves it again" not in err
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, -15)])
@@ -718,23 +635,6 @@ def test_a_page_without_its_port_names_the_option_of_the_command_line(tmp_path):
     assert err.startswith(f"turtleact: --web: {at} cannot be bound: ")
 
 
-def test_an_empty_token_names_the_option_of_the_command_line(tmp_path):
-    options = ("--no-sim", "--listen", free_endpoint(), "--web", "0.0.0.0:0", "--token", "")
-    status, out, err = ended(start(tmp_path, "serve", *options))
-    assert (status, out) == (2, "")
-    assert err.startswith("turtleact: --token: must not be empty if other machines can connect")
-
-
-def test_a_module_that_is_not_there_is_one_line(tmp_path):
-    process = start(tmp_path, "serve", "nowhere_at_all")
-    out, err = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, out, err) == (
-        2,
-        "",
-        "turtleact: there is no module 'nowhere_at_all' here, or on the path\n",
-    )
-
-
 def test_a_second_world_is_not_put_on_the_graph_of_the_first(tmp_path):
     with serving(tmp_path) as server:
         status, out, err = server.run("serve")
@@ -752,17 +652,6 @@ def test_a_goal_of_two_types_of_one_name_is_canceled(tmp_path):
         )
     assert (status, out.endswith("status: CANCELED\n")) == (124, True)
     assert err == "turtleact: no result after 0.1 s\n"
-
-
-def test_a_server_goes_on_where_nobody_reads_its_lines(served):
-    assert served.process.stdout is not None
-    served.process.stdout.close()
-    for _ in range(2):
-        assert served.send("quick", order=2) is GoalStatus.SUCCEEDED
-    served.process.send_signal(signal.SIGTERM)
-    assert served.process.wait(PATIENCE) == 0
-    assert served.process.stderr is not None
-    assert "Traceback" not in served.process.stderr.read()
 
 
 def test_a_second_signal_ends_a_server_whose_body_does_not_end(tmp_path):

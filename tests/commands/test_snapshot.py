@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from contextlib import aclosing, asynccontextmanager
 
-import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands import turtlesim
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
-from turtleact.sim.world_services import TakeSnapshot
 
 
 @asynccontextmanager
@@ -56,23 +53,4 @@ def test_a_graph_without_a_world_has_no_picture(on_graph, graphs):
     assert ran.err == (
         "turtleact: service '/world/snapshot': there is no world on this graph: "
         "'turtleact serve' starts one\n"
-    )
-
-
-@asynccontextmanager
-async def stuck(transport):
-    async def think(_):
-        await anyio.sleep_forever()
-
-    async with open_node("world", transport=transport) as node:
-        node.service(TakeSnapshot, "/world/snapshot", think)
-        yield
-
-
-def test_a_world_that_does_not_answer_is_not_waited_for_for_ever(on_graph, monkeypatch):
-    monkeypatch.setattr(turtlesim, "PATIENCE", 0.01)
-    assert on_graph(stuck, "snapshot", "a.png") == (
-        1,
-        "",
-        "turtleact: service '/world/snapshot': no response within 0.01 s\n",
     )

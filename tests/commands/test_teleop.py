@@ -97,13 +97,6 @@ def test_letters_around_f_rotate_and_f_cancels(on_graph, keyboard, key, degrees)
     assert round(theta * 180 / 3.14159, 1) == pytest.approx(degrees, abs=0.1)
 
 
-def test_a_key_without_a_meaning_does_nothing(on_graph, keyboard):
-    robot = Robot()
-    typed(keyboard, "x", "F", "\x1b[5~", "\n", "Q")
-    assert on_graph(robot, "teleop", "--plain").status == 0
-    assert robot.twists == []
-
-
 def test_another_turtle_is_driven_by_its_name(on_graph, graphs, keyboard):
     first, second = Robot(), Robot("turtle2")
     typed(keyboard, "up", "q")
@@ -252,12 +245,3 @@ def test_a_signal_gives_the_terminal_back(number, status):
         terminal.wait_for(LIVE)
         terminal.process.send_signal(number)
         assert terminal.end() == (status, True)
-
-
-def test_without_a_map_the_terminal_is_given_back_too():
-    with Terminal(*EMBEDDED, TERM="dumb") as terminal:
-        terminal.wait_for("'Q' to quit")
-        assert not terminal.echoes
-        terminal.process.send_signal(signal.SIGTERM)
-        assert terminal.end() == (143, True)
-        assert b"\x1b" not in terminal.written

@@ -13,7 +13,6 @@ from typer.core import TyperGroup
 from turtleact.commands import GROUPS, VERBS, app, send_goal, serving
 from turtleact.commands.app import without_daemon
 from turtleact.commands.goals import moment
-from turtleact.commands.message_text import GoalText
 from turtleact.commands.settings import ConnectOptions, Fleet
 from turtleact.errors import UsageError
 
@@ -222,12 +221,6 @@ def order(monkeypatch):
     return of
 
 
-def test_what_is_left_out_has_its_default(order):
-    assert order("patrol") == send_goal.GoalRequest(
-        "patrol", None, GoalText("{}", "goal"), ConnectOptions((), 231)
-    )
-
-
 @pytest.mark.parametrize(
     ("arguments", "type_name", "goal"),
     [
@@ -252,13 +245,6 @@ def test_options_stand_anywhere(order, arguments):
     assert (made.name, made.text.text, made.feedback) == ("x", "g:", True)
 
 
-def test_options_reach_the_order(order):
-    made = order("x", "-ft0.5", "--json", "--speed", "max", "--seed=7", "--embedded")
-    assert made[3:6] == (None, "max", 7)
-    assert made[7:] == (True, 0.5, "json", 0.0)
-    assert order("x", "--reattach", "60").reattach == 60.0
-
-
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/127.0.0.1:1,tls/[::]:2"])
 def test_nobody_is_let_in_from_beyond_unasked(endpoint):
     with pytest.raises(UsageError, match="lets in everybody who can reach this machine"):
@@ -269,12 +255,6 @@ def test_where_to_look_reaches_the_order(order):
     made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config=a b")
     assert made.reach == ConnectOptions(("tcp/robot:7447", "tcp/arm:7447"), 7, "a b")
     assert made.options == (" --connect tcp/robot:7447,tcp/arm:7447 --config 'a b' --domain 7")
-
-
-def test_a_goal_file_is_read_by_the_job(order, tmp_path):
-    path = tmp_path / "goal.yaml"
-    path.write_text("order: 5")
-    assert order("x", "--goal-file", str(path)).text == ("order: 5", str(path))
 
 
 @pytest.mark.parametrize("arguments", [["action"], ["action", "-h"], ["action", "--help"]])
