@@ -98,17 +98,6 @@ class States(GoalObserver):
         self.heard.append(after)
 
 
-async def test_every_observer_hears_of_each_state_of_a_goal_that_starts_at_once():
-    async with lab(act) as served:
-        served.local.observers.add(states := States())
-        await send(served, 0)
-        assert states.heard == [
-            GoalStatus.ACCEPTED,
-            GoalStatus.EXECUTING,
-            GoalStatus.SUCCEEDED,
-        ]
-
-
 def check(source: StatusTopic, *expected: GoalStatus) -> None:
     """Both forms say the same, and this."""
     encode = WireFormat(GoalStatusArray).encode
@@ -145,15 +134,6 @@ async def test_many_changes_are_told_of_once_until_they_are_written():
         assert topic.changes == 2
 
 
-async def test_a_reader_in_this_process_is_told_of_each_change():
-    async with lab(act) as served:
-        topic = Topic()
-        topic.has_local_readers = True
-        source_of(served.local, topic)
-        await send(served, 0)
-        assert topic.changes == len(("ACCEPTED", "EXECUTING", "SUCCEEDED"))
-
-
 async def test_both_forms_say_the_same_of_goals_in_any_state():
     async with lab(act) as served:
         source = source_of(served.local)
@@ -163,20 +143,6 @@ async def test_both_forms_say_the_same_of_goals_in_any_state():
         await served.client.cancel_all()
         await settle()
         check(source, GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.CANCELED)
-
-
-async def test_goals_from_before_the_first_reader_are_told_of():
-    async with lab(act) as served:
-        await send(served, 2)
-        check(source_of(served.local), GoalStatus.EXECUTING)
-
-
-async def test_goals_that_are_not_held_any_more_are_left_out():
-    async with lab(act, result_timeout=0.0) as served:
-        source = source_of(served.local)
-        await send(served, 2)
-        await send(served, 0)
-        check(source, GoalStatus.EXECUTING)
 
 
 # --- reasons

@@ -10,13 +10,11 @@ from typing import Any
 import anyio
 import pytest
 
-import turtleact
 from turtleact import Abort, GoalAborted, GoalStatus, TurtleactError
 from turtleact.goals.observers import GoalObserver
 from turtleact.goals.state import Goal, GoalRequest
-from turtleact.transports import MemoryTransport
 
-from ..lab import Apart, Count, Gate, count, feedback, goal, result, settle
+from ..lab import Apart, Count, Gate, count, far_and_near, feedback, goal, result, settle
 from .test_remote_server import Cut
 
 ID, OTHER = bytes(range(16)), bytes(range(1, 17))
@@ -59,11 +57,9 @@ CANCELED = [
 @asynccontextmanager
 async def clients(where: str, execute: Any) -> AsyncIterator[tuple[Any, Any]]:
     """Two clients of one action."""
-    transport = MemoryTransport()
-    near: Any = transport if where == "here" else Apart(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=near) as node,
+    async with far_and_near(near=Apart if where == "elsewhere" else lambda here: here) as (
+        far,
+        node,
     ):
         far.action_server(Count, "count", execute)
         yield node.action_client(Count, "count"), node.action_client(Count, "count")
@@ -73,13 +69,18 @@ WHERE = pytest.mark.parametrize("where", ["here", "elsewhere"])
 
 
 @WHERE
-async def test_an_observer_hears_of_the_goals_of_its_client_alone(where):
+async def test_an_observer_hears_of_the_goals_of_its_client_alone_from_its_coming_to_its_going(
+    where,
+):
     async with clients(where, count) as (client, other):
+        await client.send_goal(goal(1))
         client.observers.add(notes := Notes())
         assert await other.send_goal(goal(1)) == result(0)
         assert notes.heard == []
         assert await client.send_goal(goal(1)) == result(0)
         assert await other.send_goal(goal(1)) == result(0)
+        client.observers.remove(notes)
+        await client.send_goal(goal(1))
         assert notes.heard == SUCCEEDS
 
 
@@ -108,25 +109,6 @@ async def test_an_observer_hears_of_pauses(where):
             await handle.pause()
             await handle.resume()
         assert [each for each in notes.heard if isinstance(each, str)] == ["paused", "resumed"]
-
-
-@WHERE
-async def test_an_observer_that_has_gone_hears_nothing(where):
-    async with clients(where, count) as (client, _):
-        client.observers.add(notes := Notes())
-        await client.send_goal(goal(1))
-        client.observers.remove(notes)
-        await client.send_goal(goal(1))
-        assert notes.heard == SUCCEEDS
-
-
-@WHERE
-async def test_an_observer_that_comes_while_a_client_has_its_server_hears_of_the_next_goal(where):
-    async with clients(where, count) as (client, _):
-        await client.send_goal(goal(1))
-        client.observers.add(notes := Notes())
-        await client.send_goal(goal(1))
-        assert notes.heard == SUCCEEDS
 
 
 @WHERE
@@ -222,12 +204,9 @@ async def test_an_observer_that_fails_does_no_harm(caplog):
 
 async def test_an_observer_hears_of_a_goal_that_is_lost(monkeypatch):
     monkeypatch.setattr("turtleact.goals.remote.BACK_WITHIN", 0.0)
-    gate, transport = Gate(), MemoryTransport()
-    graph: Any = Cut(transport)
-    async with (
-        turtleact.open_node("far", transport=transport) as far,
-        turtleact.open_node("near", transport=graph) as near,
-    ):
+    gate = Gate()
+    async with far_and_near(near=Cut) as (far, near):
+        graph: Any = near.transport
         far.action_server(Count, "count", gate.wait)
         client = near.action_client(Count, "count")
         client.observers.add(notes := Notes())

@@ -10,7 +10,7 @@ import pytest
 import turtleact
 from turtleact import GoalResponse, GoalStatus, QoS
 from turtleact.errors import InvalidMessage, ServerUnavailable
-from turtleact.interfaces import WireFormat, implied, type_hash
+from turtleact.interfaces import implied, type_hash
 from turtleact.interfaces.standard import (
     UUID,
     CancelGoal,
@@ -21,9 +21,9 @@ from turtleact.interfaces.standard import (
 from turtleact.node.topics import Subscription
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
-from turtleact.transports.base import Endpoint, Format
+from turtleact.transports.base import Format
 
-from ..lab import Count, Gate, count, feedback, goal, lab, result, running, settle
+from ..lab import Count, Gate, count, feedback, goal, lab, result, running
 
 IMPLIED = implied(Count)
 LATCHED = QoS(depth=10, durability="transient_local")
@@ -155,30 +155,6 @@ async def test_feedback_goes_to_all_who_listen_and_to_the_sender():
         assert [(each.goal_id, each.feedback) for each in other.drain()] == heard
 
 
-async def test_who_listens_before_there_is_a_server_hears_all():
-    transport = MemoryTransport()
-    async with turtleact.open_node("user", transport=transport) as user:
-        heard = Wire(user).listen()
-        async with lab(count, transport=transport) as served:
-            await served.client.send_goal(goal(2))
-        assert [each.feedback for each in heard.drain()] == [feedback(0), feedback(0, 1)]
-
-
-async def test_who_listens_late_or_no_more_hears_nothing():
-    gate = Gate()
-    async with lab(gate.stream) as served:
-        wire = Wire(served.node)
-        gone = wire.listen()
-        await gone.aclose()
-        await wire.send()
-        await gate.started.wait()
-        await settle()
-        late = wire.listen()
-        gate.opened.set()
-        await wire.get()
-        assert (gone.drain(), late.drain()) == ([], [])
-
-
 async def test_each_change_of_a_state_is_told():
     gate = Gate()
     async with lab(gate.wait) as served:
@@ -188,19 +164,6 @@ async def test_each_change_of_a_state_is_told():
         await wire.cancel()
         await wire.get()
         assert story(watched) == ["-", "ACCEPTED", "EXECUTING", "CANCELING", "CANCELED"]
-
-
-async def test_a_late_observer_first_gets_all_goals_held():
-    gate = Gate()
-    async with lab(gate.wait) as served:
-        wire = Wire(served.node)
-        await wire.send()
-        async with served.client.send_goal(goal()) as handle:
-            (held,) = wire.watch().drain()
-            assert statuses(held) == {
-                ID.uuid: GoalStatus.EXECUTING,
-                handle.goal_id: GoalStatus.EXECUTING,
-            }
 
 
 @pytest.mark.loops("asyncio", "trio")
@@ -224,16 +187,6 @@ async def test_an_observer_that_does_not_latch_gets_only_what_changes():
         await wire.send()
         await wire.get()
         assert story(watched) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
-
-
-async def test_nothing_is_published_once_nobody_watches():
-    async with lab(count) as served:
-        wire = Wire(served.node)
-        one, other = wire.watch(), wire.watch()
-        await one.aclose()
-        assert served.local.observers.are_any
-        await other.aclose()
-        assert not served.local.observers.are_any
 
 
 async def test_goals_that_wait_are_told_of_too():
@@ -260,23 +213,6 @@ async def test_who_waits_for_a_result_gets_it_when_the_server_closes():
         with pytest.raises(ServerUnavailable):
             await wire.get()
         assert served.node.graph().actions == {}
-
-
-async def test_the_services_answer_those_who_are_elsewhere():
-    async with lab(count) as served:
-        transport = served.node.transport
-
-        async def call(name: str, service: Any, request: Any) -> Any:
-            described = Endpoint("client", f"/count/_action/{name}", service.type_name, "/afar")
-            caller = transport.join(described, WireFormat(service, asks=True))
-            return (await caller.call(request)).message
-
-        request = IMPLIED.send_goal.Request(goal_id=ID, goal=goal())
-        assert (await call("send_goal", IMPLIED.send_goal, request)).accepted
-        answer = await call("get_result", IMPLIED.get_result, IMPLIED.get_result.Request(ID))
-        assert answer.result == result(0, 1, 2)
-        canceled = await call("cancel_goal", CancelGoal, CancelGoal.Request(GoalInfo(ID, Time())))
-        assert canceled.return_code == 3
 
 
 async def test_what_goes_over_a_wire_has_the_hashes_of_its_types():

@@ -180,17 +180,6 @@ async def test_large_messages_hold_the_body_up_by_their_bytes():
         del reading
 
 
-async def test_large_and_small_messages_by_turns_hold_the_body_up():
-    def by_turns(number: int) -> object:
-        return LARGE if number % 2 else feedback(number)
-
-    source = Source(by_turns, 200)
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        reading = aiter(handle)
-        assert await source.settle() <= 2 * (BUDGET // LARGE_SIZE) + 2 * BURST
-        del reading
-
-
 @pytest.mark.parametrize("make", [feedback, large])
 async def test_who_waits_for_the_result_besides_reading_is_not_held_up(make):
     upto = 2 * KEPT if make is feedback else 50

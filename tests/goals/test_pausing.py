@@ -14,7 +14,6 @@ from turtleact import GoalStatus, ServerGoalHandle
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidOption, PauseRefused
 from turtleact.interfaces.standard.std_srvs.srv import Trigger
 from turtleact.journal import open_journal
-from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 from ..lab import (
@@ -91,10 +90,10 @@ def style(request) -> str:
     return name
 
 
-async def test_a_paused_body_stands_still_until_it_is_resumed(style):
+async def test_a_paused_body_stands_still_until_it_is_resumed(where, style):
     walker = Walker()
     async with (
-        lab(getattr(walker, style), **STYLES[style]) as served,
+        where(getattr(walker, style), **STYLES[style]) as served,
         served.client.send_goal(goal(MANY)) as handle,
     ):
         await handle.pause()
@@ -120,8 +119,8 @@ async def test_the_callbacks_bring_the_robot_to_rest_and_start_it(style):
     assert walker.log == [f"pause at {at}", f"resume at {at}"]
 
 
-async def test_another_coroutine_body_refuses_with_a_reason():
-    async with lab(Walker().blind) as served, served.client.send_goal(goal()) as handle:
+async def test_another_coroutine_body_refuses_with_a_reason(where):
+    async with where(Walker().blind) as served, served.client.send_goal(goal()) as handle:
         with pytest.raises(PauseRefused, match="declare it with pausable=True"):
             await handle.pause()
         assert not handle.is_paused
@@ -196,29 +195,18 @@ async def test_a_goal_that_has_ended_or_is_being_canceled_is_not_paused():
         gate.set()
 
 
-async def test_a_cancel_reaches_a_paused_body_at_once(style):
+@pytest.mark.parametrize("is_closed", [False, True])
+async def test_a_cancel_and_the_end_of_the_server_reach_a_paused_body_at_once(style, is_closed):
     walker = Walker()
     async with (
         lab(getattr(walker, style), **STYLES[style]) as served,
         served.client.send_goal(goal(MANY)) as handle,
     ):
         await handle.pause()
-        await handle.cancel()
-        with pytest.raises(GoalCanceled):
+        await (served.server.aclose() if is_closed else handle.cancel())
+        with pytest.raises(GoalAborted if is_closed else GoalCanceled):
             await handle.result()
         assert not handle.is_paused
-
-
-async def test_the_end_of_the_server_reaches_a_paused_body(style):
-    walker = Walker()
-    async with (
-        lab(getattr(walker, style), **STYLES[style]) as served,
-        served.client.send_goal(goal(MANY)) as handle,
-    ):
-        await handle.pause()
-        await served.server.aclose()
-        with pytest.raises(GoalAborted, match="shutdown"):
-            await handle.result()
 
 
 async def test_a_preemption_reaches_a_paused_body():
@@ -559,22 +547,6 @@ async def test_the_callbacks_are_coroutine_functions(name):
 # --- from other processes -----------------------------------------------------------------------
 
 
-async def test_goals_are_paused_by_messages():
-    walker = Walker()
-    async with far_and_near() as (far, node):
-        far.action_server(Count, "count", walker.generator)
-        blind = far.action_server(Count, "blind", walker.blind)
-        async with node.action_client(Count, "count").send_goal(goal(MANY)) as handle:
-            await handle.pause()
-            assert handle.is_paused
-            assert await walker.stands_still()
-            await handle.resume()
-            assert not handle.is_paused
-        async with node.action_client(Count, blind.name).send_goal(goal()) as other:
-            with pytest.raises(PauseRefused, match="pausable=True"):
-                await other.pause()
-
-
 @pytest.mark.parametrize("is_entered", [False, True])
 async def test_a_child_in_another_process_is_paused_with_its_parent(is_entered):
     walker = Walker()
@@ -694,29 +666,6 @@ async def test_a_goal_is_still_paused_after_a_restart(tmp_path):
             assert await walker.stands_still()
             await again.resume()
             assert await again.result() == result(MANY)
-
-
-@pytest.mark.loops("asyncio", "trio")
-async def test_a_sleeping_generator_takes_longer_by_its_pause():
-    clock = VirtualClock()
-
-    async def act(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
-        for number in range(3):
-            yield feedback(number)
-            await handle.node.clock.sleep(1.0)
-        yield result()
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(clock.run)
-        async with lab(act, transport=MemoryTransport(clock)) as served:
-            async with served.client.send_goal(goal()) as handle:
-                await handle.pause()
-                paused_at = clock.time()
-                await clock.sleep(10.0)
-                await handle.resume()
-                await handle.result()
-            assert clock.time() == pytest.approx(paused_at + 10.0 + (3.0 - paused_at))
-        group.cancel_scope.cancel()
 
 
 async def test_a_preempted_goal_is_no_longer_paused_while_it_cleans_up():

@@ -258,52 +258,6 @@ async def test_the_next_goal_begins_however_the_one_before_has_ended(send, optio
     assert sent[1].value == succeeded(2)
 
 
-async def test_a_waiting_goal_is_accepted_and_executing_once_it_begins():
-    stage = Stage()
-    async with (
-        lab(stage.act, policy="queue") as served,
-        served.client.send_goal(goal(1)),
-        served.client.send_goal(goal(2)) as second,
-    ):
-        await settle()
-        seen = [second.status]
-        stage.open(1)
-        await settle()
-        seen.append(second.status)
-        stage.open(2)
-        assert await second.result() == result(2)
-    assert seen == [GoalStatus.ACCEPTED, GoalStatus.EXECUTING]
-
-
-async def test_the_events_of_a_goal_that_has_waited_tell_when_it_began():
-    stage = Stage()
-    async with (
-        lab(stage.act, policy="queue") as served,
-        served.client.send_goal(goal(1)),
-        served.client.send_goal(goal(2)) as second,
-    ):
-        stage.open(1, 2)
-        kinds = [getattr(event, "status", event.kind) async for event in second.events()]
-    assert kinds == ["accepted", GoalStatus.EXECUTING, GoalStatus.SUCCEEDED, "result"]
-
-
-async def test_feedback_of_a_goal_that_has_waited_reaches_its_client():
-    gate = anyio.Event()
-
-    async def body(request):
-        yield feedback(request.upto)
-        await gate.wait()
-        yield result(request.upto)
-
-    async with (
-        lab(body, policy="queue") as served,
-        served.client.send_goal(goal(1)),
-        served.client.send_goal(goal(2)) as second,
-    ):
-        gate.set()
-        assert [each async for each in second] == [feedback(2)]
-
-
 SENDER: ContextVar[int] = ContextVar("SENDER", default=0)
 
 
@@ -693,24 +647,13 @@ async def half_started(stage: Stage, **options: Any) -> AsyncIterator[tuple[Lab,
 @ON_ASYNCIO
 @WAITING
 @pytest.mark.parametrize("turns", range(3))
-async def test_a_goal_canceled_when_it_was_given_its_place_is_canceled(options, turns):
-    stage = Stage(1)
-    async with half_started(stage, **options) as (_, two):
-        await take(turns)
-        await two.cancel()
-    assert await two.outcome() == CANCELED
-    assert stage.log.count("2 begun") == stage.log.count("2 over")
-
-
-@ON_ASYNCIO
-@WAITING
-@pytest.mark.parametrize("turns", range(3))
-async def test_a_server_closed_when_a_goal_was_given_its_place_aborts_it(options, turns):
+@pytest.mark.parametrize("outcome", [CANCELED, SHUTDOWN], ids=["canceled", "closed"])
+async def test_a_goal_ended_when_it_was_given_its_place_ends_so(options, turns, outcome):
     stage = Stage(1)
     async with half_started(stage, **options) as (served, two):
         await take(turns)
-        await served.server.aclose()
-    assert await two.outcome() == SHUTDOWN
+        await (two.cancel() if outcome is CANCELED else served.server.aclose())
+    assert await two.outcome() == outcome
     assert stage.log.count("2 begun") == stage.log.count("2 over")
 
 

@@ -87,34 +87,23 @@ async def cancel_within(served, section: Section, sent, ask) -> None:
 
 
 @BODIES
-async def test_a_cancel_request_waits_for_the_end_of_a_shielded_section(send, body):
-    section = Section()
-    async with (
-        lab(getattr(section, body)) as served,
-        running(lambda: send(served, goal())) as sent,
-    ):
-        await cancel_within(served, section, sent, served.client.cancel_all)
-        assert sent.value.status is GoalStatus.CANCELED
-
-
-@BODIES
-async def test_a_second_cancel_request_does_not_break_a_shield_either(send, body):
+@pytest.mark.parametrize("times", [1, 2])
+async def test_cancel_requests_wait_for_the_end_of_a_shielded_section(send, body, times):
     section = Section()
     async with (
         lab(getattr(section, body)) as served,
         running(lambda: send(served, goal())) as sent,
     ):
 
-        async def ask_twice():
-            await served.client.cancel_all()
-            await served.client.cancel_all()
+        async def ask():
+            for _ in range(times):
+                await served.client.cancel_all()
 
-        await cancel_within(served, section, sent, ask_twice)
+        await cancel_within(served, section, sent, ask)
         assert sent.value.status is GoalStatus.CANCELED
 
 
-@BODIES
-async def test_a_preempted_body_is_let_out_of_its_shielded_section(send, body):
+async def test_a_preempted_body_is_let_out_of_its_shielded_section(send):
     section = Section()
 
     async def act(request: Count.Goal) -> Any:
@@ -179,7 +168,7 @@ async def test_a_body_that_ends_in_its_shielded_section_has_ended_well(send):
         await served.client.send_goal(goal())  # no cancellation has been left over
 
 
-async def test_a_cancel_waits_for_the_shielded_section_of_a_child(send):
+async def test_a_cancel_waits_for_the_shielded_section_of_a_child():
     """The child runs in the parent's own task where it is awaited on asyncio."""
     section = Section()
     async with turtleact.open_node("home") as node:

@@ -17,7 +17,6 @@ from turtleact.goals.policies import Decision, Rules, Slot, Slots
 from turtleact.goals.state import Goal
 
 from ..lab import bare_goal
-from ..tables import together
 
 START, WAIT, REFUSE = Decision.START, Decision.WAIT, Decision.REJECT
 
@@ -144,13 +143,6 @@ TABLE = [
 ]
 
 
-@together
-@pytest.mark.parametrize(("situation", "rules", "admission"), TABLE)
-def test_a_new_goal(situation, rules, admission):
-    slot, new = in_situation(situation, rules)
-    assert slot.enter(new).decision is admission
-
-
 @pytest.mark.parametrize(
     ("situation", "rules", "reason"),
     [
@@ -171,12 +163,6 @@ def test_a_new_goal(situation, rules, admission):
 def test_a_refusal_says_why(situation, rules, reason):
     slot, new = in_situation(situation, rules)
     assert slot.enter(new).reason == reason
-
-
-# --- queues ---------------------------------------------------------------------------------
-
-
-# --- families -------------------------------------------------------------------------------
 
 
 # --- preempting -----------------------------------------------------------------------------
