@@ -59,6 +59,15 @@ class Place(NamedTuple):
         options = {"on_restart": "resume", **options}
         return self.node.action_server(Count, name, execute, journal=self.journal, **options)
 
+    async def send(self, request: Count.Goal) -> None:
+        """Send a goal and leave it."""
+        (await self.client.send_goal(request, goal_id=ID).__aenter__()).detach()
+
+    async def crash_with(self, request: Count.Goal) -> Path:
+        """Send a goal and leave it, and be killed then."""
+        await self.send(request)
+        return await self.crash()
+
     async def crash(self) -> Path:
         """What another process would find if this one were killed now."""
         await self.journal.written()
@@ -460,8 +469,7 @@ async def test_goals_of_a_shared_slot_run_one_at_a_time_after_a_restart(path):
         here.serve(body("other"), "other", **options)
         second = here.node.action_client(Count, "other")
         (await second.send_goal(goal(), goal_id=OTHER).__aenter__()).detach()
-        (await here.client.send_goal(goal(), goal_id=ID).__aenter__()).detach()
-        crashed = await here.crash()
+        crashed = await here.crash_with(goal())
         running_now.clear()
         async with place(crashed) as there:
             there.serve(body("count"), **options)  # its goal was second
@@ -474,8 +482,7 @@ async def test_a_goal_that_kills_its_server_is_given_up(path):
     body = Resuming()
     async with place(path) as here:
         here.serve(body.generator)
-        (await here.client.send_goal(goal(3), goal_id=ID).__aenter__()).detach()
-        crashed = await here.crash()
+        crashed = await here.crash_with(goal(3))
     for crashes in (1, 2):
         async with place(crashed) as there:
             there.serve(body.generator)
@@ -495,8 +502,7 @@ async def test_feedback_and_clean_stops_forgive_crashes(path):
     body = Resuming()
     async with place(path) as here:
         here.serve(body.coroutine)
-        (await here.client.send_goal(goal(3), goal_id=ID).__aenter__()).detach()
-        crashed = await here.crash()
+        crashed = await here.crash_with(goal(3))
     async with place(crashed) as there:
         there.serve(body.coroutine)
         async with there.client.attach(ID):
@@ -526,8 +532,7 @@ async def test_a_goal_of_another_type_is_aborted_and_not_decoded(path):
 
     async with place(path) as here:
         here.serve(Gate().wait)
-        (await here.client.send_goal(goal(), goal_id=ID).__aenter__()).detach()
-        crashed = await here.crash()
+        crashed = await here.crash_with(goal())
     body: Any = Gate().wait
     async with turtleact.open_journal(crashed) as journal, turtleact.open_node("lab") as node:
         node.action_server(Changed, "count", body, journal=journal, on_restart="resume")
@@ -552,8 +557,7 @@ async def test_goals_of_two_types_under_one_name_are_told_apart(path):
 
     async with place(path) as here:
         here.serve(Gate().wait)
-        (await here.client.send_goal(goal(2), goal_id=ID).__aenter__()).detach()
-        crashed = await here.crash()
+        crashed = await here.crash_with(goal(2))
     async with place(crashed) as there:
         there.node.action_server(Other, "count", other, journal=there.journal, on_restart="resume")
         there.serve(Resuming(free=2).generator)
@@ -564,8 +568,7 @@ async def test_goals_of_two_types_under_one_name_are_told_apart(path):
 async def test_a_built_in_action_leaves_the_goals_of_another_server_alone(path):
     async with place(path) as here:
         here.serve(Gate().wait)
-        (await here.client.send_goal(goal(2), goal_id=ID).__aenter__()).detach()
-        crashed = await here.crash()
+        crashed = await here.crash_with(goal(2))
     async with (
         place(crashed) as there,
         turtleact.open_node("turtle_actions", transport=there.node.transport) as node,

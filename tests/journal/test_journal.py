@@ -204,18 +204,6 @@ def test_a_file_that_is_no_database_is_left_alone(path, content, count):
     assert list(path.parent.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("page", [bytes(4096), b"spoilt" * 683])
-def test_a_journal_whose_first_page_is_damaged_is_renamed(path, page):
-    Database(path).close()
-    rest = path.read_bytes()[len(page) :]
-    path.write_bytes(page + rest)
-    database = Database(path)
-    database.close()
-    assert database.moved_to is not None
-    assert database.moved_to.read_bytes() == page + rest
-    assert list(read_goals(path)) == []
-
-
 def test_an_empty_file_becomes_a_journal(path):
     path.touch()
     Database(path).close()
@@ -230,12 +218,19 @@ def spoil_the_beginning(path: Path) -> None:
     path.write_bytes(b"spoilt" + path.read_bytes()[6:])
 
 
+def empty_the_first_page(path: Path) -> None:
+    path.write_bytes(bytes(4096) + path.read_bytes()[4096:])
+
+
 def spoil_what_has_a_log(path: Path) -> None:
     path.write_bytes(b"spoilt" * 500)
     Path(f"{path}-wal").touch()
 
 
-@pytest.mark.parametrize("spoil", [spoil_the_contents, spoil_the_beginning, spoil_what_has_a_log])
+@pytest.mark.parametrize(
+    "spoil",
+    [spoil_the_contents, spoil_the_beginning, empty_the_first_page, spoil_what_has_a_log],
+)
 async def test_a_damaged_file_is_renamed_and_kept(path, caplog, spoil):
     Database(path).close()
     spoil(path)
@@ -247,12 +242,9 @@ async def test_a_damaged_file_is_renamed_and_kept(path, caplog, spoil):
     assert f"is damaged; it is now {kept}" in caplog.text
 
 
-def test_a_missing_folder_is_named(tmp_path):
+def test_a_missing_folder_and_a_lock_that_cannot_be_made_are_told(tmp_path):
     with pytest.raises(JournalError, match="there is no folder"):
         Database(tmp_path / "none" / "goals.db")
-
-
-def test_a_lock_that_cannot_be_made_is_told(tmp_path):
     (tmp_path / "goals.db-lock").mkdir()
     with pytest.raises(JournalError, match="it cannot be written"):
         Database(tmp_path / "goals.db")
@@ -265,18 +257,11 @@ def test_a_read_only_folder_is_named(tmp_path):
         Database(tmp_path / "goals.db")
 
 
-@pytest.mark.parametrize("content", [None, b"text" * 100])
+@pytest.mark.parametrize("content", [None, b"text" * 100, b""])
 def test_reading_what_is_no_journal_is_an_error(path, content):
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(JournalError):
-        list(read_goals(path))
-
-
-def test_reading_an_empty_database_is_an_error(path):
-    sqlite3.connect(path).close()
-    path.touch()
-    with pytest.raises(JournalError, match="it is not a journal"):
+    with pytest.raises(JournalError, match="it is not a journal" if content == b"" else None):
         list(read_goals(path))
 
 
@@ -467,15 +452,3 @@ async def test_a_journal_belongs_to_its_event_loop(path):
     async with open_journal(path) as journal:
         with pytest.raises(turtleact.TurtleactError, match="belongs to another event loop"):
             await anyio.to_thread.run_sync(Journal.load, journal, "/count")
-
-
-async def test_a_gate_of_two_servers_shares_a_journal(path):
-    gate = Gate()
-    async with open_journal(path) as journal, turtleact.open_node("lab") as node:
-        for name in ("one", "two"):
-            node.action_server(Count, name, gate.wait, journal=journal)
-        async with running(lambda: node.action_client(Count, "one").send_goal(goal())) as first:
-            gate.opened.set()
-            await node.action_client(Count, "two").send_goal(goal())
-            await first.done.wait()
-    assert sorted(each.action for each in read_goals(path)) == ["/one", "/two"]

@@ -14,14 +14,6 @@ from turtleact.tasks import LoopGuard
 SAID = "node '/lab' belongs to another event loop: use it there, or call it from another thread"
 
 
-async def test_at_home_nothing_is_said():
-    home = LoopGuard("node '/lab'")
-    home.check()
-    async with anyio.create_task_group() as group:
-        group.start_soon(anyio.sleep, 0)
-        home.check()
-
-
 async def test_a_thread_without_an_event_loop_is_not_home():
     home = LoopGuard("node '/lab'")
     with pytest.raises(TurtleactError, match=SAID):

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import sys
 import threading
-from contextvars import ContextVar
 
 import anyio
 import pytest
@@ -14,8 +13,6 @@ import pytest
 from turtleact.tasks import Background, current_tasks, run_in_daemon, wait_while
 
 from ..lab import ON_ASYNCIO, settle
-
-COLOUR: ContextVar[str] = ContextVar("COLOUR", default="none")
 
 
 async def note(log: list[object], entry: object) -> None:
@@ -33,66 +30,11 @@ async def wait_forever(log: list[object]) -> None:
 # --- spawn ----------------------------------------------------------------------------------
 
 
-@ON_ASYNCIO
-async def test_a_spawned_task_is_among_the_tasks_of_the_loop():
-    task = current_tasks().spawn(wait_forever([]), "lab")
-    assert task in asyncio.all_tasks()
-    task.cancel()
-    await settle()
-
-
-async def test_a_spawned_coroutine_sees_the_context_of_its_caller():
-    log: list[object] = []
-
-    async def body():
-        log.append(COLOUR.get())
-
-    token = COLOUR.set("red")
-    current_tasks().spawn(body(), "lab")
-    COLOUR.reset(token)
-    await settle()
-    assert log == ["red"]
-
-
-async def test_what_a_spawned_coroutine_sets_in_its_context_stays_there():
-    async def body():
-        COLOUR.set("blue")
-        await settle()
-        COLOUR.set("green")
-
-    current_tasks().spawn(body(), "lab")
-    await settle()
-    assert COLOUR.get() == "none"
-
-
-async def test_a_task_that_waits_is_canceled_there():
-    log: list[object] = []
-    task = current_tasks().spawn(wait_forever(log), "lab")
-    await settle()
-    task.cancel()
-    await settle()
-    assert log == ["canceled"]
-
-
 async def test_a_task_canceled_at_once_is_canceled_at_its_first_wait():
     log: list[object] = []
     current_tasks().spawn(wait_forever(log), "lab").cancel()
     await settle()
     assert log == ["canceled"]
-
-
-async def test_a_checkpoint_lets_others_run():
-    log: list[object] = []
-    tasks = current_tasks()
-
-    async def body():
-        await tasks.checkpoint()
-        log.append("other")
-
-    tasks.spawn(body(), "lab")
-    while not log:
-        await tasks.checkpoint()
-    assert log == ["other"]
 
 
 async def test_a_task_that_was_just_spawned_has_run_after_a_checkpoint():
@@ -102,19 +44,6 @@ async def test_a_task_that_was_just_spawned_has_run_after_a_checkpoint():
         tasks.spawn(note(log, "ran"), "lab")
         await tasks.checkpoint()
         assert log == ["ran"]
-
-
-async def test_a_step_runs_inside_its_own_task():
-    seen: list[object] = []
-
-    async def body():
-        seen.append(anyio.get_current_task().id)
-        await anyio.lowlevel.checkpoint()
-        seen.append(anyio.get_current_task().id)
-
-    current_tasks().spawn(body(), "lab")
-    await settle()
-    assert seen[0] == seen[1] != anyio.get_current_task().id
 
 
 def test_a_task_in_no_shielded_scope_is_not_shielded():
@@ -148,50 +77,23 @@ def test_without_anyios_private_table_no_task_is_shielded(name, monkeypatch):
 # --- signals --------------------------------------------------------------------------------
 
 
-async def test_a_signal_wakes_all_that_wait():
+async def test_a_fire_wakes_all_that_wait_then_once_and_is_not_remembered():
     signal, log = current_tasks().signal(), []
 
     async def wait(number: int) -> None:
-        await signal.wait()
-        log.append(number)
+        while True:
+            await signal.wait()
+            log.append(number)
 
+    signal.fire()
     async with anyio.create_task_group() as group:
         for number in range(3):
             group.start_soon(wait, number)
         await settle()
-        signal.fire()
-    assert sorted(log) == [0, 1, 2]
-
-
-async def test_a_signal_does_not_remember_that_it_fired():
-    signal, log = current_tasks().signal(), []
-
-    async def wait() -> None:
-        await signal.wait()
-        log.append("woken")
-
-    signal.fire()
-    async with anyio.create_task_group() as group:
-        group.start_soon(wait)
-        await settle()
         assert log == []
         signal.fire()
-
-
-async def test_one_fire_wakes_a_waiter_once():
-    signal, log = current_tasks().signal(), []
-
-    async def wait() -> None:
-        while True:
-            await signal.wait()
-            log.append("woken")
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(wait)
         await settle()
-        signal.fire()
-        await settle()
-        assert log == ["woken"]
+        assert sorted(log) == [0, 1, 2]
         group.cancel_scope.cancel()
 
 
@@ -265,16 +167,8 @@ async def test_what_is_not_over_in_time_is_left():
 # --- what runs in the background ------------------------------------------------------------
 
 
-async def test_a_background_coroutine_runs_until_it_is_closed():
-    log: list[object] = []
-    background = Background(wait_forever(log), "the clock")
-    await settle()
-    assert log == []
-    await background.aclose()
-    assert log == ["canceled"]
-
-
-async def test_closing_waits_for_the_end_of_the_clean_up():
+@pytest.mark.parametrize("is_canceled", [False, True])
+async def test_closing_what_runs_in_the_background_waits_for_its_clean_up(is_canceled):
     log: list[object] = []
 
     async def body():
@@ -287,18 +181,12 @@ async def test_closing_waits_for_the_end_of_the_clean_up():
 
     background = Background(body(), "the clock")
     await settle()
-    await background.aclose()
-    assert log == ["cleaned up"]
-
-
-async def test_closing_waits_even_where_the_closer_is_canceled():
-    log: list[object] = []
-    background = Background(wait_forever(log), "the clock")
-    await settle()
+    assert log == []
     with anyio.CancelScope() as scope:
-        scope.cancel()
+        if is_canceled:
+            scope.cancel()
         await background.aclose()
-    assert log == ["canceled"]
+    assert log == ["cleaned up"]
 
 
 async def test_a_background_coroutine_that_fails_is_logged(caplog):

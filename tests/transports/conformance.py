@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import logging
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Any, NamedTuple, TypeAlias
 
@@ -175,6 +175,13 @@ async def connected(peers: Any, end: str = "there") -> tuple[Publication, Inbox]
     return publication, inbox
 
 
+async def say(peers: Any, publication: Publication, *numbers: int) -> None:
+    """Publish numbers, and wait until they have arrived."""
+    for number in numbers:
+        publication.publish(feedback(number))
+    await peers.settle()
+
+
 async def served(
     peers: Any, handler: ServiceHandler, end: str = "there", *, by: str = "here"
 ) -> Any:
@@ -215,626 +222,549 @@ class TransportConformance:
     def transport(self) -> OpenPeers:
         raise NotImplementedError("a subclass says how its peers are opened")
 
+    @pytest.fixture
+    async def peers(self, transport: OpenPeers, anyio_backend: object) -> AsyncIterator[Peers]:
+        async with transport() as peers:
+            yield peers
+
     # topics
 
     @BOTH_WAYS
-    async def test_a_subscription_in_any_thread_gets_messages_in_order(self, transport, end):
-        async with transport() as peers:
-            inbox = Inbox()
-            at = getattr(peers, end)
-            at.subscribe(subscription(), SPEECH, inbox.deliver, in_any_thread=True)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            for number in range(20):
-                publication.publish(feedback(number))
-            await peers.settle()
-            assert inbox.numbers == list(range(20))
+    async def test_a_raw_subscription_gets_the_bytes_that_are_sent(self, peers, end):
+        seen: list[object] = []
+        raw = RawFormat(SPEECH.type_hash, SPEECH.encode)
+        getattr(peers, end).subscribe(subscription(), raw, seen.append)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        assert publication.has_readers
+        assert not publication.has_object_readers
+        publication.send(SPEECH.encode(feedback(7)))
+        await peers.settle()
+        assert seen == [SPEECH.encode(feedback(7))]
+
+    async def test_a_message_reaches_raw_subscriptions_once_beside_others(self, peers):
+        inbox, raw, seen = Inbox(), RawFormat(SPEECH.type_hash, SPEECH.encode), list[object]()
+        peers.here.subscribe(subscription(), raw, seen.append)
+        peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        assert publication.has_object_readers
+        await say(peers, publication, 7)
+        assert inbox.numbers == [7]
+        assert [raw.encode(each) for each in seen] == [SPEECH.encode(feedback(7))]
 
     @BOTH_WAYS
-    async def test_a_raw_subscription_gets_the_bytes_that_are_sent(self, transport, end):
-        async with transport() as peers:
-            seen: list[object] = []
-            raw = RawFormat(SPEECH.type_hash, SPEECH.encode)
-            getattr(peers, end).subscribe(subscription(), raw, seen.append)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            assert publication.has_readers
-            assert not publication.has_object_readers
-            publication.send(SPEECH.encode(feedback(7)))
-            await peers.settle()
-            assert seen == [SPEECH.encode(feedback(7))]
+    @pytest.mark.parametrize("in_any_thread", [False, True])
+    async def test_messages_arrive_in_the_order_of_their_publishing(
+        self, peers, end, in_any_thread
+    ):
+        inbox, wanted = Inbox(), subscription(qos=QoS(depth=200))
+        at = getattr(peers, end)
+        at.subscribe(wanted, SPEECH, inbox.deliver, in_any_thread=in_any_thread)
+        publication = peers.here.advertise(publisher(qos=QoS(depth=200)), SPEECH)
+        await peers.settle()
+        for number in range(200):
+            publication.publish(feedback(number))
+        await peers.settle()
+        assert inbox.numbers == list(range(200))
 
-    async def test_a_message_reaches_raw_subscriptions_once_beside_others(self, transport):
-        async with transport() as peers:
-            inbox, raw, seen = Inbox(), RawFormat(SPEECH.type_hash, SPEECH.encode), list[object]()
-            peers.here.subscribe(subscription(), raw, seen.append)
-            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            assert publication.has_object_readers
-            publication.publish(feedback(7))
-            await peers.settle()
-            assert inbox.numbers == [7]
-            assert [raw.encode(each) for each in seen] == [SPEECH.encode(feedback(7))]
+    async def test_a_message_reaches_every_subscription(self, peers):
+        inboxes = [Inbox(), Inbox(), Inbox()]
+        for peer, inbox in zip((peers.here, peers.here, peers.there), inboxes, strict=True):
+            peer.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 7)
+        assert [inbox.numbers for inbox in inboxes] == [[7], [7], [7]]
 
-    @BOTH_WAYS
-    async def test_messages_arrive_in_the_order_of_their_publishing(self, transport, end):
-        async with transport() as peers:
-            inbox = Inbox()
-            getattr(peers, end).subscribe(subscription(qos=QoS(depth=200)), SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(qos=QoS(depth=200)), SPEECH)
-            await peers.settle()
-            for number in range(200):
-                publication.publish(feedback(number))
-            await peers.settle()
-            assert inbox.numbers == list(range(200))
-
-    async def test_a_message_reaches_every_subscription(self, transport):
-        async with transport() as peers:
-            inboxes = [Inbox(), Inbox(), Inbox()]
-            for peer, inbox in zip((peers.here, peers.here, peers.there), inboxes, strict=True):
-                peer.subscribe(subscription(), SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(7))
-            await peers.settle()
-            assert [inbox.numbers for inbox in inboxes] == [[7], [7], [7]]
-
-    async def test_a_subscription_hears_every_publisher(self, transport):
-        async with transport() as peers:
-            inbox = Inbox()
-            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
-            one = peers.here.advertise(publisher(), SPEECH)
-            other = peers.there.advertise(publisher(), SPEECH)
-            await peers.settle()
-            one.publish(feedback(1))
-            await peers.settle()
-            other.publish(feedback(2))
-            await peers.settle()
-            assert inbox.numbers == [1, 2]
+    async def test_a_subscription_hears_every_publisher(self, peers):
+        inbox = Inbox()
+        peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+        one = peers.here.advertise(publisher(), SPEECH)
+        other = peers.there.advertise(publisher(), SPEECH)
+        await peers.settle()
+        one.publish(feedback(1))
+        await peers.settle()
+        other.publish(feedback(2))
+        await peers.settle()
+        assert inbox.numbers == [1, 2]
 
     @pytest.mark.parametrize(
         "wanted",
         [subscription("/chatter2"), subscription(type_name=Count.Goal.type_name)],
         ids=["name", "type"],
     )
-    async def test_a_subscription_of_something_else_hears_nothing(self, transport, wanted):
-        async with transport() as peers:
-            inbox = Inbox()
-            peers.there.subscribe(wanted, SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(7))
-            await peers.settle()
-            assert inbox.numbers == []
+    async def test_a_subscription_of_something_else_hears_nothing(self, peers, wanted):
+        inbox = Inbox()
+        peers.there.subscribe(wanted, SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 7)
+        assert inbox.numbers == []
 
-    async def test_a_message_is_delivered_where_the_event_loop_runs(self, transport):
-        async with transport() as peers:
-            publication, inbox = await connected(peers)
-            publication.publish(feedback(7))
-            await peers.settle()
-            assert inbox.threads == {threading.get_ident()}
+    async def test_a_message_is_delivered_where_the_event_loop_runs(self, peers):
+        publication, inbox = await connected(peers)
+        await say(peers, publication, 7)
+        assert inbox.threads == {threading.get_ident()}
 
     # a subscriber that fails
 
-    async def test_a_failure_of_a_subscriber_is_logged_and_harms_nobody(self, transport, caplog):
+    async def test_a_failure_of_a_subscriber_is_logged_and_harms_nobody(self, peers, caplog):
         def fail(message: object) -> None:
             failing.deliver(message)
             raise ValueError("no room")
 
-        async with transport() as peers:
-            failing, other = Inbox(), Inbox()
-            peers.there.subscribe(subscription(), SPEECH, fail)
-            peers.there.subscribe(subscription(), SPEECH, other.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(1))
-            publication.publish(feedback(2))
-            await peers.settle()
-            assert (failing.numbers, other.numbers) == ([1, 2], [1, 2])
+        failing, other = Inbox(), Inbox()
+        peers.there.subscribe(subscription(), SPEECH, fail)
+        peers.there.subscribe(subscription(), SPEECH, other.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 1, 2)
+        assert (failing.numbers, other.numbers) == ([1, 2], [1, 2])
         record, _ = caplog.records
         assert (record.name, record.levelno) == ("turtleact.transport", logging.ERROR)
         assert record.getMessage() == "a subscription of topic /chatter failed to handle a message"
         assert "no room" in str(record.exc_info)
 
-    async def test_a_subscriber_that_fails_on_a_latched_message_stays(self, transport):
-        async with transport() as peers:
-            inbox = Inbox()
+    async def test_a_subscriber_that_fails_on_a_latched_message_stays(self, peers):
+        inbox = Inbox()
 
-            def fail_once(message: object) -> None:
-                inbox.deliver(message)
-                if inbox.numbers == [1]:
-                    raise ValueError("no room")
+        def fail_once(message: object) -> None:
+            inbox.deliver(message)
+            if inbox.numbers == [1]:
+                raise ValueError("no room")
 
-            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
-            publication.publish(feedback(1))
-            await peers.settle()
-            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, fail_once)
-            await peers.settle()
-            publication.publish(feedback(2))
-            await peers.settle()
-            assert inbox.numbers == [1, 2]
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
+        await say(peers, publication, 1)
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, fail_once)
+        await peers.settle()
+        await say(peers, publication, 2)
+        assert inbox.numbers == [1, 2]
 
     # latched messages
 
     @BOTH_WAYS
-    async def test_a_late_subscription_gets_the_last_latched_messages_first(self, transport, end):
-        async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
-            for number in (1, 2, 3):
-                publication.publish(feedback(number))
-            await peers.settle()
-            inbox = Inbox()
-            getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
-            await peers.settle()
-            publication.publish(feedback(4))
-            await peers.settle()
-            assert inbox.numbers == [2, 3, 4]
+    async def test_a_late_subscription_gets_the_last_latched_messages_first(self, peers, end):
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
+        for number in (1, 2, 3):
+            publication.publish(feedback(number))
+        await peers.settle()
+        inbox = Inbox()
+        getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        await peers.settle()
+        await say(peers, publication, 4)
+        assert inbox.numbers == [2, 3, 4]
 
-    async def test_latched_messages_of_several_publishers_all_come(self, transport):
-        async with transport() as peers:
-            for number in (1, 2):
-                latched = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
-                latched.publish(feedback(number))
-            await peers.settle()
-            inbox = Inbox()
-            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
-            await peers.settle()
-            assert sorted(inbox.numbers) == [1, 2]
+    async def test_latched_messages_of_several_publishers_all_come(self, peers):
+        for number in (1, 2):
+            latched = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
+            latched.publish(feedback(number))
+        await peers.settle()
+        inbox = Inbox()
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        await peers.settle()
+        assert sorted(inbox.numbers) == [1, 2]
 
-    async def test_a_latched_message_does_not_come_twice(self, transport):
-        async with transport() as peers:
-            inbox = Inbox()
-            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(1))
-            await peers.settle()
-            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, Inbox().deliver)
-            await peers.settle()
-            assert inbox.numbers == [1]
+    async def test_a_latched_message_does_not_come_twice(self, peers):
+        inbox = Inbox()
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 1)
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, Inbox().deliver)
+        await peers.settle()
+        assert inbox.numbers == [1]
 
     @pytest.mark.parametrize(
         ("sent", "wanted"),
         [(LATCHED, QoS()), (QoS(), LATCHED), (QoS(), QoS())],
         ids=["reader-volatile", "publisher-volatile", "both-volatile"],
     )
-    async def test_old_messages_come_only_if_both_sides_want_them(self, transport, sent, wanted):
-        async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=sent), SPEECH)
-            publication.publish(feedback(1))
-            await peers.settle()
-            inbox = Inbox()
-            peers.there.subscribe(subscription(qos=wanted), SPEECH, inbox.deliver)
-            await peers.settle()
-            publication.publish(feedback(2))
-            await peers.settle()
-            assert inbox.numbers == [2]
+    async def test_old_messages_come_only_if_both_sides_want_them(self, peers, sent, wanted):
+        publication = peers.here.advertise(publisher(qos=sent), SPEECH)
+        await say(peers, publication, 1)
+        inbox = Inbox()
+        peers.there.subscribe(subscription(qos=wanted), SPEECH, inbox.deliver)
+        await peers.settle()
+        await say(peers, publication, 2)
+        assert inbox.numbers == [2]
 
-    async def test_latched_messages_go_with_their_publisher(self, transport):
-        async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
-            publication.publish(feedback(1))
-            await peers.settle()
-            publication.close()
-            await peers.settle()
-            inbox = Inbox()
-            peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
-            await peers.settle()
-            assert inbox.numbers == []
+    async def test_latched_messages_go_with_their_publisher(self, peers):
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
+        await say(peers, publication, 1)
+        publication.close()
+        await peers.settle()
+        inbox = Inbox()
+        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        await peers.settle()
+        assert inbox.numbers == []
 
     # who reads
 
     @BOTH_WAYS
-    async def test_a_publisher_has_readers_as_long_as_a_subscription_is_open(self, transport, end):
-        async with transport() as peers:
-            publication = peers.here.advertise(publisher(), SPEECH)
-            peers.there.subscribe(subscription("/chatter2"), SPEECH, Inbox().deliver)
-            await peers.settle()
-            assert not publication.has_readers
-            subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
-            await peers.settle()
-            assert publication.has_readers
-            subscribed.close()
-            await peers.settle()
-            assert not publication.has_readers
+    async def test_a_publisher_has_readers_as_long_as_a_subscription_is_open(self, peers, end):
+        publication = peers.here.advertise(publisher(), SPEECH)
+        peers.there.subscribe(subscription("/chatter2"), SPEECH, Inbox().deliver)
+        await peers.settle()
+        assert not publication.has_readers
+        subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
+        await peers.settle()
+        assert publication.has_readers
+        subscribed.close()
+        await peers.settle()
+        assert not publication.has_readers
 
-    async def test_a_publisher_that_latches_may_have_readers_later(self, transport):
-        async with transport() as peers:
-            assert peers.here.advertise(publisher(qos=LATCHED), SPEECH).has_readers
+    async def test_a_publisher_that_latches_may_have_readers_later(self, peers):
+        assert peers.here.advertise(publisher(qos=LATCHED), SPEECH).has_readers
 
     @pytest.mark.parametrize("qos", [QoS(), LATCHED], ids=["volatile", "latched"])
-    async def test_a_closed_publisher_has_no_readers(self, transport, qos):
-        async with transport() as peers:
-            publication = peers.here.advertise(publisher(qos=qos), SPEECH)
-            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
-            await peers.settle()
-            publication.close()
-            assert not publication.has_readers
+    async def test_a_closed_publisher_has_no_readers(self, peers, qos):
+        publication = peers.here.advertise(publisher(qos=qos), SPEECH)
+        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
+        await peers.settle()
+        publication.close()
+        assert not publication.has_readers
 
     # closing
 
     @BOTH_WAYS
-    async def test_a_closed_subscription_gets_nothing_more(self, transport, end):
-        async with transport() as peers:
-            inbox, other = Inbox(), Inbox()
-            subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
-            getattr(peers, end).subscribe(subscription(), SPEECH, other.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(1))
-            await peers.settle()
+    async def test_a_closed_subscription_gets_nothing_more(self, peers, end):
+        inbox, other = Inbox(), Inbox()
+        subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
+        getattr(peers, end).subscribe(subscription(), SPEECH, other.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 1)
+        subscribed.close()
+        await say(peers, publication, 2)
+        assert (inbox.numbers, other.numbers) == ([1], [1, 2])
+
+    async def test_a_subscription_closed_by_another_one_gets_nothing_more(self, peers):
+        inboxes = [Inbox(), Inbox()]
+        subscribed: list[Any] = []
+
+        def take_and_close(mine: int, message: object) -> None:
+            inboxes[mine].deliver(message)
+            subscribed[1 - mine].close()
+
+        for mine in range(2):
+            take = functools.partial(take_and_close, mine)
+            subscribed.append(peers.there.subscribe(subscription(), SPEECH, take))
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 1)
+        assert sorted(inbox.numbers for inbox in inboxes) == [[], [1]]
+
+    async def test_a_subscriber_that_closes_itself_takes_nothing_from_others(self, peers):
+        inbox, other = Inbox(), Inbox()
+
+        def take_one(message: object) -> None:
+            inbox.deliver(message)
             subscribed.close()
-            publication.publish(feedback(2))
-            await peers.settle()
-            assert (inbox.numbers, other.numbers) == ([1], [1, 2])
 
-    async def test_a_subscription_closed_by_another_one_gets_nothing_more(self, transport):
-        async with transport() as peers:
-            inboxes = [Inbox(), Inbox()]
-            subscribed: list[Any] = []
+        subscribed = peers.there.subscribe(subscription(), SPEECH, take_one)
+        peers.there.subscribe(subscription(), SPEECH, other.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 1, 2)
+        assert (inbox.numbers, other.numbers) == ([1], [1, 2])
 
-            def take_and_close(mine: int, message: object) -> None:
-                inboxes[mine].deliver(message)
-                subscribed[1 - mine].close()
+    async def test_a_closed_publisher_gives_nothing_more(self, peers):
+        publication, inbox = await connected(peers)
+        await say(peers, publication, 1)
+        publication.close()
+        await say(peers, publication, 2)
+        assert inbox.numbers == [1]
 
-            for mine in range(2):
-                take = functools.partial(take_and_close, mine)
-                subscribed.append(peers.there.subscribe(subscription(), SPEECH, take))
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(1))
-            await peers.settle()
-            assert sorted(inbox.numbers for inbox in inboxes) == [[], [1]]
+    async def test_a_publisher_outlives_the_last_subscription(self, peers):
+        publication = peers.here.advertise(publisher(), SPEECH)
+        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
+        await peers.settle()
+        inbox = Inbox()
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        await peers.settle()
+        await say(peers, publication, 1)
+        assert inbox.numbers == [1]
 
-    async def test_a_subscriber_that_closes_itself_takes_nothing_from_others(self, transport):
-        async with transport() as peers:
-            inbox, other = Inbox(), Inbox()
-
-            def take_one(message: object) -> None:
-                inbox.deliver(message)
-                subscribed.close()
-
-            subscribed = peers.there.subscribe(subscription(), SPEECH, take_one)
-            peers.there.subscribe(subscription(), SPEECH, other.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(1))
-            publication.publish(feedback(2))
-            await peers.settle()
-            assert (inbox.numbers, other.numbers) == ([1], [1, 2])
-
-    async def test_a_closed_publisher_gives_nothing_more(self, transport):
-        async with transport() as peers:
-            publication, inbox = await connected(peers)
-            publication.publish(feedback(1))
-            await peers.settle()
-            publication.close()
-            publication.publish(feedback(2))
-            await peers.settle()
-            assert inbox.numbers == [1]
-
-    async def test_a_publisher_outlives_the_last_subscription(self, transport):
-        async with transport() as peers:
-            publication = peers.here.advertise(publisher(), SPEECH)
-            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
-            await peers.settle()
-            inbox = Inbox()
-            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-            await peers.settle()
-            publication.publish(feedback(1))
-            await peers.settle()
-            assert inbox.numbers == [1]
-
-    async def test_a_subscription_outlives_the_last_publisher(self, transport):
-        async with transport() as peers:
-            inbox = Inbox()
-            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-            peers.here.advertise(publisher(), SPEECH).close()
-            await peers.settle()
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
-            publication.publish(feedback(1))
-            await peers.settle()
-            assert inbox.numbers == [1]
+    async def test_a_subscription_outlives_the_last_publisher(self, peers):
+        inbox = Inbox()
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        peers.here.advertise(publisher(), SPEECH).close()
+        await peers.settle()
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        await say(peers, publication, 1)
+        assert inbox.numbers == [1]
 
     @EACH_KIND
-    async def test_closing_twice_is_closing_once(self, transport, kind):
-        async with transport() as peers:
-            first, _ = open_it(peers.here, of_kind(kind)), open_it(peers.here, of_kind(kind))
-            first.close()
-            first.close()
-            await peers.settle()
-            assert seen(peers.here) == [of_kind(kind)]
+    async def test_closing_twice_is_closing_once(self, peers, kind):
+        first, _ = open_it(peers.here, of_kind(kind)), open_it(peers.here, of_kind(kind))
+        first.close()
+        first.close()
+        await peers.settle()
+        assert seen(peers.here) == [of_kind(kind)]
 
     # the graph
 
     @BOTH_WAYS
     @EACH_KIND
-    async def test_an_endpoint_is_in_the_graph_while_it_is_open(self, transport, kind, end):
-        async with transport() as peers:
-            opened = open_it(peers.here, of_kind(kind))
-            await peers.settle()
-            assert seen(getattr(peers, end)) == [of_kind(kind)]
-            opened.close()
-            await peers.settle()
-            assert seen(getattr(peers, end)) == []
+    async def test_an_endpoint_is_in_the_graph_while_it_is_open(self, peers, kind, end):
+        opened = open_it(peers.here, of_kind(kind))
+        await peers.settle()
+        assert seen(getattr(peers, end)) == [of_kind(kind)]
+        opened.close()
+        await peers.settle()
+        assert seen(getattr(peers, end)) == []
 
-    async def test_endpoints_are_in_the_order_of_their_opening(self, transport):
+    async def test_endpoints_are_in_the_order_of_their_opening(self, peers):
         wanted = [of_kind(kind, f"/{name}") for name in "ba" for kind in reversed(KINDS)]
-        async with transport() as peers:
-            for endpoint in wanted:
-                open_it(peers.here, endpoint)
-            assert seen(peers.here) == wanted
+        for endpoint in wanted:
+            open_it(peers.here, endpoint)
+        assert seen(peers.here) == wanted
 
-    async def test_an_endpoint_shows_its_quality_of_service(self, transport):
+    async def test_an_endpoint_shows_its_quality_of_service(self, peers):
         qos = QoS(depth=3, durability="transient_local", reliability="best_effort")
-        async with transport() as peers:
-            peers.here.advertise(publisher(qos=qos), SPEECH)
-            await peers.settle()
-            assert [endpoint.qos for endpoint in peers.there.endpoints()] == [qos]
+        peers.here.advertise(publisher(qos=qos), SPEECH)
+        await peers.settle()
+        assert [endpoint.qos for endpoint in peers.there.endpoints()] == [qos]
 
     @BOTH_WAYS
-    async def test_a_node_is_in_the_graph_from_entering_to_closing(self, transport, end):
-        async with transport() as peers:
-            entered = peers.here.enter("/sim/lab")
-            await peers.settle()
-            assert getattr(peers, end).nodes() == ("/sim/lab",)
-            entered.close()
-            await peers.settle()
-            assert getattr(peers, end).nodes() == ()
+    async def test_a_node_is_in_the_graph_from_entering_to_closing(self, peers, end):
+        entered = peers.here.enter("/sim/lab")
+        await peers.settle()
+        assert getattr(peers, end).nodes() == ("/sim/lab",)
+        entered.close()
+        await peers.settle()
+        assert getattr(peers, end).nodes() == ()
 
-    async def test_of_two_nodes_of_one_name_each_is_in_the_graph(self, transport):
-        async with transport() as peers:
-            first, _ = peers.here.enter("/lab"), peers.there.enter("/lab")
-            await peers.settle()
-            assert peers.here.nodes() == ("/lab", "/lab")
-            first.close()
-            first.close()
-            await peers.settle()
-            assert peers.here.nodes() == ("/lab",)
+    async def test_of_two_nodes_of_one_name_each_is_in_the_graph(self, peers):
+        first, _ = peers.here.enter("/lab"), peers.there.enter("/lab")
+        await peers.settle()
+        assert peers.here.nodes() == ("/lab", "/lab")
+        first.close()
+        first.close()
+        await peers.settle()
+        assert peers.here.nodes() == ("/lab",)
 
     @BOTH_WAYS
     @EACH_KIND
-    async def test_opening_and_closing_an_endpoint_is_a_change(self, transport, kind, end):
-        async with transport() as peers:
-            graph = getattr(peers, end)
-            counts = [graph.changes]
-            async with running(graph.wait_for_change) as waiting:
-                assert not waiting.done.is_set()
-                opened = open_it(peers.here, of_kind(kind))
-                await waiting.done.wait()
-            await peers.settle()
-            counts.append(graph.changes)
-            async with running(graph.wait_for_change) as waiting:
-                assert not waiting.done.is_set()
-                opened.close()
-                await waiting.done.wait()
-            assert counts[0] < counts[1] < graph.changes
+    async def test_opening_and_closing_an_endpoint_is_a_change(self, peers, kind, end):
+        graph = getattr(peers, end)
+        counts = [graph.changes]
+        async with running(graph.wait_for_change) as waiting:
+            assert not waiting.done.is_set()
+            opened = open_it(peers.here, of_kind(kind))
+            await waiting.done.wait()
+        await peers.settle()
+        counts.append(graph.changes)
+        async with running(graph.wait_for_change) as waiting:
+            assert not waiting.done.is_set()
+            opened.close()
+            await waiting.done.wait()
+        assert counts[0] < counts[1] < graph.changes
 
-    async def test_as_long_as_nothing_changes_no_change_is_counted(self, transport):
-        async with transport() as peers:
-            caller = await served(peers, Adder(), "here", by="there")
-            before = peers.here.changes, peers.there.changes
-            await caller.call(numbers(1))
-            await peers.settle()
-            assert (peers.here.changes, peers.there.changes) == before
+    async def test_as_long_as_nothing_changes_no_change_is_counted(self, peers):
+        caller = await served(peers, Adder(), "here", by="there")
+        before = peers.here.changes, peers.there.changes
+        await caller.call(numbers(1))
+        await peers.settle()
+        assert (peers.here.changes, peers.there.changes) == before
 
     @BOTH_WAYS
-    async def test_a_node_that_comes_or_goes_is_a_change(self, transport, end):
-        async with transport() as peers:
-            async with running(getattr(peers, end).wait_for_change) as waiting:
-                entered = peers.here.enter("/lab")
-                await waiting.done.wait()
-            await peers.settle()
-            async with running(getattr(peers, end).wait_for_change) as waiting:
-                assert not waiting.done.is_set()
-                entered.close()
-                await waiting.done.wait()
+    async def test_a_node_that_comes_or_goes_is_a_change(self, peers, end):
+        async with running(getattr(peers, end).wait_for_change) as waiting:
+            entered = peers.here.enter("/lab")
+            await waiting.done.wait()
+        await peers.settle()
+        async with running(getattr(peers, end).wait_for_change) as waiting:
+            assert not waiting.done.is_set()
+            entered.close()
+            await waiting.done.wait()
 
-    async def test_closing_again_is_no_change(self, transport):
-        async with transport() as peers:
-            opened = open_it(peers.here, of_kind("client"))
+    async def test_closing_again_is_no_change(self, peers):
+        opened = open_it(peers.here, of_kind("client"))
+        opened.close()
+        await peers.settle()
+        async with running(peers.here.wait_for_change) as waiting:
             opened.close()
             await peers.settle()
-            async with running(peers.here.wait_for_change) as waiting:
-                opened.close()
-                await peers.settle()
-                await take_turns()
-                assert not waiting.done.is_set()
-                waiting.scope.cancel()
+            await take_turns()
+            assert not waiting.done.is_set()
+            waiting.scope.cancel()
 
-    async def test_a_canceled_wait_for_a_change_leaves_others_waiting(self, transport):
-        async with transport() as peers:
-            wait = peers.here.wait_for_change
-            async with running(wait) as first, running(wait) as second:
-                first.scope.cancel()
-                await first.done.wait()
-                assert not second.done.is_set()
-                peers.here.enter("/lab")
-                await second.done.wait()
+    async def test_a_canceled_wait_for_a_change_leaves_others_waiting(self, peers):
+        wait = peers.here.wait_for_change
+        async with running(wait) as first, running(wait) as second:
+            first.scope.cancel()
+            await first.done.wait()
+            assert not second.done.is_set()
+            peers.here.enter("/lab")
+            await second.done.wait()
 
     # services of the same process
 
     @pytest.mark.parametrize(
         "other", [service("/add2"), service(type_name="lab_interfaces/srv/Other")]
     )
-    async def test_a_service_of_another_name_or_type_is_not_found(self, transport, other):
-        async with transport() as peers:
-            peers.here.serve(other, SERVING, Handler())
-            assert peers.here.local("/add", Sum.type_name) is None
+    async def test_a_service_of_another_name_or_type_is_not_found(self, peers, other):
+        peers.here.serve(other, SERVING, Handler())
+        assert peers.here.local("/add", Sum.type_name) is None
 
-    async def test_of_several_handlers_the_first_is_found_then_the_next(self, transport):
-        async with transport() as peers:
-            handlers = [Handler(), Handler()]
-            found = []
-            for opened in [peers.here.serve(service(), SERVING, handler) for handler in handlers]:
-                found.append(peers.here.local("/add", Sum.type_name))
-                opened.close()
-                opened.close()
-            assert found == handlers
-            assert peers.here.local("/add", Sum.type_name) is None
+    async def test_of_several_handlers_the_first_is_found_then_the_next(self, peers):
+        handlers = [Handler(), Handler()]
+        found = []
+        for opened in [peers.here.serve(service(), SERVING, handler) for handler in handlers]:
+            found.append(peers.here.local("/add", Sum.type_name))
+            opened.close()
+            opened.close()
+        assert found == handlers
+        assert peers.here.local("/add", Sum.type_name) is None
 
-    async def test_handlers_of_one_node_are_one_service_until_the_last_is_closed(self, transport):
-        async with transport() as peers:
-            opened = [peers.here.serve(service(), SERVING, Adder()) for _ in range(2)]
-            await peers.settle()
-            (seen,) = peers.there.endpoints()
-            assert peers.here.endpoints() == (seen,)
-            opened[0].close()
-            await peers.settle()
-            assert peers.there.endpoints() == (seen,)
-            for each in (*opened, *opened):
-                each.close()
-            await peers.settle()
-            assert peers.there.endpoints() == peers.here.endpoints() == ()
+    async def test_handlers_of_one_node_are_one_service_until_the_last_is_closed(self, peers):
+        opened = [peers.here.serve(service(), SERVING, Adder()) for _ in range(2)]
+        await peers.settle()
+        (seen,) = peers.there.endpoints()
+        assert peers.here.endpoints() == (seen,)
+        opened[0].close()
+        await peers.settle()
+        assert peers.there.endpoints() == (seen,)
+        for each in (*opened, *opened):
+            each.close()
+        await peers.settle()
+        assert peers.there.endpoints() == peers.here.endpoints() == ()
 
-    async def test_of_the_handlers_of_one_node_the_first_answers_then_the_next(self, transport):
-        async with transport() as peers:
-            adders = [Adder(), Adder()]
-            opened = [peers.here.serve(service(), SERVING, each) for each in adders]
-            caller = peers.there.join(client(), ASKING)
-            await peers.settle()
-            await caller.call(numbers())
-            opened[0].close()
-            await caller.call(numbers())
-            assert [len(each.callers) for each in adders] == [1, 1]
+    async def test_of_the_handlers_of_one_node_the_first_answers_then_the_next(self, peers):
+        adders = [Adder(), Adder()]
+        opened = [peers.here.serve(service(), SERVING, each) for each in adders]
+        caller = peers.there.join(client(), ASKING)
+        await peers.settle()
+        await caller.call(numbers())
+        opened[0].close()
+        await caller.call(numbers())
+        assert [len(each.callers) for each in adders] == [1, 1]
 
-    async def test_the_same_service_of_two_nodes_is_two(self, transport):
-        async with transport() as peers:
-            for node in ("/one", "/two"):
-                served = msgspec.structs.replace(service(), node=node)
-                peers.here.serve(served, SERVING, Adder())
-            await peers.settle()
-            assert [each.node for each in peers.there.endpoints()] == ["/one", "/two"]
+    async def test_the_same_service_of_two_nodes_is_two(self, peers):
+        for node in ("/one", "/two"):
+            served = msgspec.structs.replace(service(), node=node)
+            peers.here.serve(served, SERVING, Adder())
+        await peers.settle()
+        assert [each.node for each in peers.there.endpoints()] == ["/one", "/two"]
 
-    async def test_local_endpoints_are_those_of_this_process(self, transport):
-        async with transport() as peers:
-            peers.here.serve(service(), SERVING, Adder())
-            await peers.settle()
-            assert len(peers.here.local_endpoints("/add")) == 1
-            assert peers.here.local_endpoints("/other") == ()
-            others = () if peers.here is not peers.there else peers.here.local_endpoints()
-            assert peers.there.local_endpoints() == others
+    async def test_local_endpoints_are_those_of_this_process(self, peers):
+        peers.here.serve(service(), SERVING, Adder())
+        await peers.settle()
+        assert len(peers.here.local_endpoints("/add")) == 1
+        assert peers.here.local_endpoints("/other") == ()
+        others = () if peers.here is not peers.there else peers.here.local_endpoints()
+        assert peers.there.local_endpoints() == others
 
     # calls
 
     @BOTH_WAYS
-    async def test_a_call_gets_the_servers_reply(self, transport, end):
-        async with transport() as peers:
-            caller = await served(peers, Adder(), end)
-            assert await caller.call(numbers(2, 3)) == Reply(Sum.Response(total=5), "added up")
+    async def test_a_call_gets_the_servers_reply(self, peers, end):
+        caller = await served(peers, Adder(), end)
+        assert await caller.call(numbers(2, 3)) == Reply(Sum.Response(total=5), "added up")
 
     @BOTH_WAYS
-    async def test_a_threaded_handler_may_answer_in_another_thread(self, transport, end):
-        async with transport() as peers:
-            caller = await served(peers, ThreadedAdder(), end)
-            assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
+    async def test_a_threaded_handler_may_answer_in_another_thread(self, peers, end):
+        caller = await served(peers, ThreadedAdder(), end)
+        assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
 
     @BOTH_WAYS
-    async def test_a_caller_is_served_while_a_server_is_open(self, transport, end):
-        async with transport() as peers:
-            caller = peers.here.join(client(), ASKING)
-            seen = [caller.is_served]
-            offered = getattr(peers, end).serve(service(), SERVING, Adder())
-            await peers.settle()
-            seen.append(caller.is_served)
-            offered.close()
-            await peers.settle()
-            assert [*seen, caller.is_served] == [False, True, False]
+    async def test_a_caller_is_served_while_a_server_is_open(self, peers, end):
+        caller = peers.here.join(client(), ASKING)
+        seen = [caller.is_served]
+        offered = getattr(peers, end).serve(service(), SERVING, Adder())
+        await peers.settle()
+        seen.append(caller.is_served)
+        offered.close()
+        await peers.settle()
+        assert [*seen, caller.is_served] == [False, True, False]
 
-    async def test_who_waits_to_be_served_is_woken(self, transport):
-        async with transport() as peers:
-            caller = peers.here.join(client(), ASKING)
+    async def test_who_waits_to_be_served_is_woken(self, peers):
+        caller = peers.here.join(client(), ASKING)
 
-            async def wait() -> None:
-                while not caller.is_served:
-                    await peers.here.wait_for_change()
+        async def wait() -> None:
+            while not caller.is_served:
+                await peers.here.wait_for_change()
 
-            async with running(wait) as waiting:
-                peers.there.serve(service(), SERVING, Adder())
-                await waiting.done.wait()
-            assert (await caller.call(numbers(1))).message == Sum.Response(total=1)
+        async with running(wait) as waiting:
+            peers.there.serve(service(), SERVING, Adder())
+            await waiting.done.wait()
+        assert (await caller.call(numbers(1))).message == Sum.Response(total=1)
 
     @BOTH_WAYS
-    async def test_several_calls_are_under_way_at_once(self, transport, end):
+    async def test_several_calls_are_under_way_at_once(self, peers, end):
         gate = anyio.Event()
-        async with transport() as peers:
-            adder = Adder(gate=gate)
-            caller = await served(peers, adder, end)
-            async with (
-                running(lambda: caller.call(numbers(1))) as one,
-                running(lambda: caller.call(numbers(2))) as other,
-            ):
-                await peers.settle()
-                assert len(adder.callers) == 2
-                gate.set()
-            assert (one.value.message.total, other.value.message.total) == (1, 2)
+        adder = Adder(gate=gate)
+        caller = await served(peers, adder, end)
+        async with (
+            running(lambda: caller.call(numbers(1))) as one,
+            running(lambda: caller.call(numbers(2))) as other,
+        ):
+            await peers.settle()
+            assert len(adder.callers) == 2
+            gate.set()
+        assert (one.value.message.total, other.value.message.total) == (1, 2)
 
     @BOTH_WAYS
-    async def test_a_server_knows_its_callers_apart(self, transport, end):
-        async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, adder := Adder())
-            one, other = (peers.here.join(client(), ASKING) for _ in range(2))
-            await peers.settle()
-            for caller in (one, other, one):
-                await caller.call(numbers())
-            first, second, third = adder.callers
-            assert (len(first), first == third, first == second) == (16, True, False)
-
-    @BOTH_WAYS
-    async def test_a_server_is_told_of_a_caller_that_leaves(self, transport, end):
-        async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, adder := Adder())
-            caller, _ = (peers.here.join(client(), ASKING) for _ in range(2))
-            await peers.settle()
+    async def test_a_server_knows_its_callers_apart(self, peers, end):
+        getattr(peers, end).serve(service(), SERVING, adder := Adder())
+        one, other = (peers.here.join(client(), ASKING) for _ in range(2))
+        await peers.settle()
+        for caller in (one, other, one):
             await caller.call(numbers())
-            assert adder.lost == []
-            caller.close()
-            caller.close()
-            await peers.settle()
-            assert adder.lost == adder.callers
+        first, second, third = adder.callers
+        assert (len(first), first == third, first == second) == (16, True, False)
 
     @BOTH_WAYS
-    async def test_a_caller_that_is_closed_leaves_when_its_calls_are_over(self, transport, end):
+    async def test_a_server_is_told_of_a_caller_that_leaves(self, peers, end):
+        getattr(peers, end).serve(service(), SERVING, adder := Adder())
+        caller, _ = (peers.here.join(client(), ASKING) for _ in range(2))
+        await peers.settle()
+        await caller.call(numbers())
+        assert adder.lost == []
+        caller.close()
+        caller.close()
+        await peers.settle()
+        assert adder.lost == adder.callers
+
+    @BOTH_WAYS
+    async def test_a_caller_that_is_closed_leaves_when_its_calls_are_over(self, peers, end):
         gate = anyio.Event()
-        async with transport() as peers:
-            adder = Adder(gate=gate)
-            caller = await served(peers, adder, end)
-            async with running(lambda: caller.call(numbers(4))) as called:
-                await peers.settle()
-                caller.close()
-                await peers.settle()
-                assert adder.lost == []
-                gate.set()
+        adder = Adder(gate=gate)
+        caller = await served(peers, adder, end)
+        async with running(lambda: caller.call(numbers(4))) as called:
             await peers.settle()
-            assert called.value.message == Sum.Response(total=4)
-            assert adder.lost == adder.callers
+            caller.close()
+            await peers.settle()
+            assert adder.lost == []
+            gate.set()
+        await peers.settle()
+        assert called.value.message == Sum.Response(total=4)
+        assert adder.lost == adder.callers
 
-    async def test_a_call_that_nobody_serves_ends_at_once(self, transport):
-        async with transport() as peers:
-            caller = peers.here.join(client(), ASKING)
-            with pytest.raises(ServerUnavailable, match="service '/add': no server answers"):
-                await caller.call(numbers())
+    async def test_a_call_that_nobody_serves_ends_at_once(self, peers):
+        caller = peers.here.join(client(), ASKING)
+        with pytest.raises(ServerUnavailable, match="service '/add': no server answers"):
+            await caller.call(numbers())
 
     @BOTH_WAYS
-    async def test_a_service_of_another_type_is_named(self, transport, end):
-        async with transport() as peers:
-            other = service(type_name="lab_interfaces/srv/Other")
-            getattr(peers, end).serve(other, SERVING, Adder())
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
-            said = r"served as lab_interfaces/srv/Other, not as lab_interfaces/srv/Sum"
-            with pytest.raises(ServerUnavailable, match=said):
-                await caller.call(numbers())
+    async def test_a_service_of_another_type_is_named(self, peers, end):
+        other = service(type_name="lab_interfaces/srv/Other")
+        getattr(peers, end).serve(other, SERVING, Adder())
+        caller = peers.here.join(client(), ASKING)
+        await peers.settle()
+        said = r"served as lab_interfaces/srv/Other, not as lab_interfaces/srv/Sum"
+        with pytest.raises(ServerUnavailable, match=said):
+            await caller.call(numbers())
 
     @BOTH_WAYS
-    async def test_a_handler_that_fails_says_why(self, transport, end):
-        async with transport() as peers:
-            caller = await served(peers, Adder(fail=ValueError("no room")), end)
-            said = "service '/add': the handler failed: ValueError: no room"
-            with pytest.raises(ServiceError, match=said):
-                await caller.call(numbers())
+    async def test_a_handler_that_fails_says_why(self, peers, end):
+        caller = await served(peers, Adder(fail=ValueError("no room")), end)
+        said = "service '/add': the handler failed: ValueError: no room"
+        with pytest.raises(ServiceError, match=said):
+            await caller.call(numbers())
 
     @BOTH_WAYS
     @pytest.mark.parametrize(
@@ -846,105 +776,94 @@ class TransportConformance:
         ],
         ids=lambda error: type(error).__name__,
     )
-    async def test_what_a_handler_raises_on_purpose_comes_as_it_is(self, transport, end, error):
-        async with transport() as peers:
-            caller = await served(peers, Adder(fail=error), end)
-            with pytest.raises(TurtleactError) as caught:
-                await caller.call(numbers())
-            assert (type(caught.value), caught.value.args) == (type(error), error.args)
+    async def test_what_a_handler_raises_on_purpose_comes_as_it_is(self, peers, end, error):
+        caller = await served(peers, Adder(fail=error), end)
+        with pytest.raises(TurtleactError) as caught:
+            await caller.call(numbers())
+        assert (type(caught.value), caught.value.args) == (type(error), error.args)
 
     @BOTH_WAYS
-    async def test_a_service_that_closes_still_answers_what_is_under_way(self, transport, end):
+    async def test_a_service_that_closes_still_answers_what_is_under_way(self, peers, end):
         gate = anyio.Event()
-        async with transport() as peers:
-            offered = getattr(peers, end).serve(service(), SERVING, Adder(gate=gate))
-            caller = peers.here.join(client(), ASKING)
+        offered = getattr(peers, end).serve(service(), SERVING, Adder(gate=gate))
+        caller = peers.here.join(client(), ASKING)
+        await peers.settle()
+        async with running(lambda: caller.call(numbers(4))) as called:
             await peers.settle()
-            async with running(lambda: caller.call(numbers(4))) as called:
-                await peers.settle()
-                offered.close()
-                await peers.settle()
-                gate.set()
-            assert called.value.message == Sum.Response(total=4)
+            offered.close()
+            await peers.settle()
+            gate.set()
+        assert called.value.message == Sum.Response(total=4)
 
     @BOTH_WAYS
-    async def test_a_call_that_is_canceled_harms_no_other(self, transport, end):
+    async def test_a_call_that_is_canceled_harms_no_other(self, peers, end):
         gate = anyio.Event()
-        async with transport() as peers:
-            caller = await served(peers, Adder(gate=gate), end)
-            async with (
-                running(lambda: caller.call(numbers(1))) as one,
-                running(lambda: caller.call(numbers(2))) as other,
-            ):
-                await peers.settle()
-                one.scope.cancel()
-                await one.done.wait()
-                gate.set()
-            assert (one.value, other.value.message.total) == (None, 2)
+        caller = await served(peers, Adder(gate=gate), end)
+        async with (
+            running(lambda: caller.call(numbers(1))) as one,
+            running(lambda: caller.call(numbers(2))) as other,
+        ):
+            await peers.settle()
+            one.scope.cancel()
+            await one.done.wait()
+            gate.set()
+        assert (one.value, other.value.message.total) == (None, 2)
 
-    async def test_a_closed_caller_calls_no_more(self, transport):
-        async with transport() as peers:
-            caller = await served(peers, Adder())
-            caller.close()
-            with pytest.raises(TurtleactError, match="the client of service '/add' is closed"):
-                await caller.call(numbers())
+    async def test_a_closed_caller_calls_no_more(self, peers):
+        caller = await served(peers, Adder())
+        caller.close()
+        with pytest.raises(TurtleactError, match="the client of service '/add' is closed"):
+            await caller.call(numbers())
 
     # waiting for readers
 
-    async def test_a_publisher_that_sends_little_is_not_congested(self, transport):
-        async with transport() as peers:
-            publication, _ = await connected(peers)
-            publication.publish(feedback(1))
-            await publication.drained()
-            assert not publication.is_congested
+    async def test_a_publisher_that_sends_little_is_not_congested(self, peers):
+        publication, _ = await connected(peers)
+        publication.publish(feedback(1))
+        await publication.drained()
+        assert not publication.is_congested
 
     @BOTH_WAYS
-    async def test_a_source_is_told_of_its_first_and_last_reader(self, transport, end):
-        async with transport() as peers:
-            source = Numbers()
-            peers.here.advertise(publisher(), SPEECH, source)
-            for _ in range(2):
-                opened = [
-                    getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
-                    for _ in range(2)
-                ]
-                await peers.settle()
-                for each in opened:
-                    each.close()
-                await peers.settle()
-            assert source.told == [True, False, True, False]
+    async def test_a_source_is_told_of_its_first_and_last_reader(self, peers, end):
+        source = Numbers()
+        peers.here.advertise(publisher(), SPEECH, source)
+        for _ in range(2):
+            opened = [
+                getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
+                for _ in range(2)
+            ]
+            await peers.settle()
+            for each in opened:
+                each.close()
+            await peers.settle()
+        assert source.told == [True, False, True, False]
 
     @BOTH_WAYS
-    async def test_a_late_reader_gets_what_a_source_makes(self, transport, end):
-        async with transport() as peers:
-            source = Numbers()
-            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
-            source.number = 5
-            publication.refresh()
-            await peers.settle()
-            getattr(peers, end).subscribe(
-                subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver
-            )
-            await peers.settle()
-            assert inbox.numbers[-1:] == [5]
+    async def test_a_late_reader_gets_what_a_source_makes(self, peers, end):
+        source = Numbers()
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+        source.number = 5
+        publication.refresh()
+        await peers.settle()
+        getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver)
+        await peers.settle()
+        assert inbox.numbers[-1:] == [5]
 
     @BOTH_WAYS
-    async def test_a_reader_is_sent_what_a_source_has_changed(self, transport, end):
-        async with transport() as peers:
-            source, inbox = Numbers(), Inbox()
-            publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
-            getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
-            await peers.settle()
-            source.number = 5
-            publication.refresh()
-            await peers.settle()
-            assert inbox.numbers[-1:] == [5]
+    async def test_a_reader_is_sent_what_a_source_has_changed(self, peers, end):
+        source, inbox = Numbers(), Inbox()
+        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+        getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        await peers.settle()
+        source.number = 5
+        publication.refresh()
+        await peers.settle()
+        assert inbox.numbers[-1:] == [5]
 
-    async def test_refreshing_without_a_source_publishes_nothing(self, transport):
-        async with transport() as peers:
-            inbox = Inbox()
-            publication = peers.here.advertise(publisher(), SPEECH)
-            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
-            publication.refresh()
-            await peers.settle()
-            assert inbox.numbers == []
+    async def test_refreshing_without_a_source_publishes_nothing(self, peers):
+        inbox = Inbox()
+        publication = peers.here.advertise(publisher(), SPEECH)
+        peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication.refresh()
+        await peers.settle()
+        assert inbox.numbers == []

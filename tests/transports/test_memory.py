@@ -79,25 +79,6 @@ async def test_a_source_writes_bytes_if_all_its_readers_take_them():
     assert seen == [b"written", b"written", feedback(1)]
 
 
-async def test_what_is_written_already_is_for_nobody_here():
-    seen: list[object] = []
-    transport = MemoryTransport()
-    publication = transport.advertise(publisher(), SPEECH)
-    assert not publication.has_local_readers
-    transport.subscribe(subscription(), SPEECH, seen.append)
-    assert publication.has_local_readers
-    publication.send(SPEECH.encode(feedback(1)))
-    assert seen == []
-
-
-async def test_two_transports_are_two_graphs():
-    seen: list[object] = []
-    one, other = MemoryTransport(), MemoryTransport()
-    one.subscribe(subscription(), SPEECH, seen.append)
-    other.advertise(publisher(), SPEECH).publish(feedback(1))
-    assert (seen, one.endpoints()) == ([], (subscription(),))
-
-
 async def test_what_was_opened_and_closed_leaves_nothing_behind():
     transport = MemoryTransport()
 

@@ -1,36 +1,13 @@
-"""The door to Zenoh: which threads stay attached to Python, and a graph that is asked once."""
+"""A graph that is asked once."""
 
 from __future__ import annotations
-
-import threading
 
 import anyio.to_thread
 
 from turtleact import open_node
 from turtleact.interfaces.standard import Twist
 from turtleact.transports import open_zenoh
-from turtleact.transports.rmw_zenoh import session
-from turtleact.transports.rmw_zenoh.session import census, stay_attached
-
-
-def stay(calls: int) -> None:
-    for _ in range(calls):
-        stay_attached()
-
-
-def in_a_thread(calls: int) -> int:
-    """Have a new thread stay attached, so many times over; the id of that thread."""
-    thread = threading.Thread(target=stay, args=[calls])
-    thread.start()
-    thread.join()
-    assert thread.ident is not None
-    return thread.ident
-
-
-def test_each_thread_asks_once_to_keep_its_state(monkeypatch):
-    asked: list[int] = []
-    monkeypatch.setattr(session, "ENSURE_STATE", lambda: asked.append(threading.get_ident()))
-    assert asked == [in_a_thread(2), in_a_thread(3)]
+from turtleact.transports.rmw_zenoh.session import census
 
 
 async def test_all_that_is_there_is_told_and_nobody_sees_who_asks(address):

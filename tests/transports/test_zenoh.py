@@ -40,7 +40,7 @@ from turtleact.interfaces import (
     int32,
     type_hash,
 )
-from turtleact.interfaces.standard import UUID, Fibonacci, GoalStatusArray
+from turtleact.interfaces.standard import Fibonacci
 from turtleact.interfaces.standard.rcl_interfaces.srv import ListParameters
 from turtleact.interfaces.types import REGISTRY
 from turtleact.names import PARAMETER_SERVICES
@@ -77,6 +77,7 @@ from .conformance import (
     connected,
     numbers,
     publisher,
+    say,
     served,
     service,
     subscription,
@@ -240,6 +241,12 @@ async def two_nodes(address: str) -> AsyncIterator[tuple[Pair, turtleact.Node, t
         yield peers, lab, user
 
 
+@pytest.fixture
+async def peers(address: str, anyio_backend: object) -> AsyncIterator[Pair]:
+    async with two(address) as pair:
+        yield pair
+
+
 class Bare:
     """A session that speaks in keys and bytes; what comes is kept."""
 
@@ -389,25 +396,24 @@ async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(addr
 
 
 @pytest.mark.parametrize("fails", [False, True])
-async def test_a_client_may_be_told_of_its_reply_in_the_thread_that_brings_it(address, fails):
+async def test_a_client_may_be_told_of_its_reply_in_the_thread_that_brings_it(peers, fails):
     error = ServiceError("/add", "no") if fails else None
-    async with two(address) as peers:
-        peers.there.serve(service(), SERVING, Adder(fail=error))
-        caller = peers.here.join(client(), ASKING)
-        await until(peers.here, lambda: caller.is_served)
-        ended: list[object] = []
-        done = threading.Event()
+    peers.there.serve(service(), SERVING, Adder(fail=error))
+    caller = peers.here.join(client(), ASKING)
+    await until(peers.here, lambda: caller.is_served)
+    ended: list[object] = []
+    done = threading.Event()
 
-        def on_end(call: Any) -> None:
-            try:
-                ended.append(call.take().message)
-            except ServiceError as refused:
-                ended.append(refused.reason)
-            done.set()
+    def on_end(call: Any) -> None:
+        try:
+            ended.append(call.take().message)
+        except ServiceError as refused:
+            ended.append(refused.reason)
+        done.set()
 
-        assert caller.ask(numbers(2, 3), on_end) is not None
-        await anyio.to_thread.run_sync(done.wait, 5)
-        assert ended == ["no" if fails else Sum.Response(total=5)]
+    assert caller.ask(numbers(2, 3), on_end) is not None
+    await anyio.to_thread.run_sync(done.wait, 5)
+    assert ended == ["no" if fails else Sum.Response(total=5)]
 
 
 async def test_a_request_of_ros_is_answered_with_its_own_number_and_gid(address):
@@ -557,17 +563,16 @@ async def test_a_server_of_ros_that_is_there_and_answers_nothing_may_have_droppe
         declared.undeclare()
 
 
-async def test_the_same_names_and_gids_are_seen_on_both_sides(address):
-    async with two(address) as peers:
-        peers.here.enter("/sim/lab")
-        peers.here.advertise(publisher(), SPEECH)
-        peers.here.serve(service(), SERVING, Adder())
-        await peers.settle()
-        assert peers.there.endpoints() == peers.here.endpoints()
-        assert peers.there.nodes() == peers.here.nodes() == ("/sim/lab",)
-        hashes = [endpoint.type_hash for endpoint in peers.there.endpoints()]
-        assert hashes == [SPEECH.type_hash, SERVING.type_hash]
-        assert all(len(endpoint.gid) == 16 for endpoint in peers.there.endpoints())
+async def test_the_same_names_and_gids_are_seen_on_both_sides(peers):
+    peers.here.enter("/sim/lab")
+    peers.here.advertise(publisher(), SPEECH)
+    peers.here.serve(service(), SERVING, Adder())
+    await peers.settle()
+    assert peers.there.endpoints() == peers.here.endpoints()
+    assert peers.there.nodes() == peers.here.nodes() == ("/sim/lab",)
+    hashes = [endpoint.type_hash for endpoint in peers.there.endpoints()]
+    assert hashes == [SPEECH.type_hash, SERVING.type_hash]
+    assert all(len(endpoint.gid) == 16 for endpoint in peers.there.endpoints())
 
 
 async def test_another_domain_is_another_graph(address):
@@ -582,20 +587,6 @@ async def test_another_domain_is_another_graph(address):
         await meet()
         assert (len(here.endpoints()), len(there.endpoints())) == (1, 1)
         assert not publication.has_readers
-
-
-async def test_definitions_that_differ_are_named(address):
-    async with two(address) as peers:
-        peers.there.serve(service(), WireFormat(Count.Feedback), Adder())
-        caller = peers.here.join(client(), ASKING)
-        await peers.settle()
-        with pytest.raises(ServerUnavailable) as caught:
-            await caller.call(numbers())
-        assert str(caught.value) == (
-            "service '/add': the definitions of lab_interfaces/srv/Sum differ: its type hash is "
-            f"{SPEECH.type_hash} at the server, {ASKING.type_hash} here; "
-            "both sides need the same one"
-        )
 
 
 async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(address, monkeypatch):
@@ -730,73 +721,67 @@ class Counting(WireFormat):
         return super().encode(message)
 
 
-async def test_nothing_is_encoded_while_nobody_elsewhere_reads(address):
-    async with two(address) as peers:
-        format = Counting(Count.Feedback)
-        publication = peers.here.advertise(publisher(), format)
-        peers.here.subscribe(subscription(), SPEECH, (inbox := Inbox()).deliver)
-        await peers.settle()
-        publication.publish(feedback(1))
-        assert (inbox.numbers, format.encoded) == ([1], 0)
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-        await peers.settle()
-        publication.publish(feedback(2))
-        assert format.encoded == 1
+async def test_nothing_is_encoded_while_nobody_elsewhere_reads(peers):
+    format = Counting(Count.Feedback)
+    publication = peers.here.advertise(publisher(), format)
+    peers.here.subscribe(subscription(), SPEECH, (inbox := Inbox()).deliver)
+    await peers.settle()
+    publication.publish(feedback(1))
+    assert (inbox.numbers, format.encoded) == ([1], 0)
+    peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+    await peers.settle()
+    publication.publish(feedback(2))
+    assert format.encoded == 1
 
 
-async def test_many_changes_of_a_state_are_sent_once(address):
-    async with two(address) as peers:
-        format, source = Counting(Count.Feedback), Numbers()
-        publication = peers.here.advertise(publisher(qos=LATCHED), format, source)
-        await peers.settle()
-        before = format.encoded
-        for source.number in range(100):
-            publication.refresh()
-        assert format.encoded == before
-        await peers.settle()
-        assert format.encoded - before < 5
-        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver)
-        await peers.settle()
-        assert inbox.numbers[-1] == 99
-
-
-async def test_the_last_state_is_sent_when_its_publisher_closes(address):
-    async with two(address) as peers:
-        source, inbox = Numbers(), Inbox()
-        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
-        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
-        await peers.settle()
-        source.number = 5
+async def test_many_changes_of_a_state_are_sent_once(peers):
+    format, source = Counting(Count.Feedback), Numbers()
+    publication = peers.here.advertise(publisher(qos=LATCHED), format, source)
+    await peers.settle()
+    before = format.encoded
+    for source.number in range(100):
         publication.refresh()
-        publication.close()
-        await peers.settle()
-        assert inbox.numbers[-1] == 5
+    assert format.encoded == before
+    await peers.settle()
+    assert format.encoded - before < 5
+    peers.there.subscribe(subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver)
+    await peers.settle()
+    assert inbox.numbers[-1] == 99
 
 
-async def test_a_source_of_a_volatile_topic_is_asked_while_somebody_elsewhere_reads(address):
-    async with two(address) as peers:
-        source, inbox = Numbers(), Inbox()
-        publication = peers.here.advertise(publisher(), SPEECH, source)
-        publication.refresh()
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-        await peers.settle()
-        source.number = 5
-        publication.refresh()
-        await peers.settle()
-        assert inbox.numbers == [5]
+async def test_the_last_state_is_sent_when_its_publisher_closes(peers):
+    source, inbox = Numbers(), Inbox()
+    publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+    peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+    await peers.settle()
+    source.number = 5
+    publication.refresh()
+    publication.close()
+    await peers.settle()
+    assert inbox.numbers[-1] == 5
 
 
-async def test_what_a_latched_source_publishes_itself_is_its_state_elsewhere(address):
-    async with two(address) as peers:
-        source, near, far = Numbers(), Inbox(), Inbox()
-        publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
-        peers.here.subscribe(subscription(), SPEECH, near.deliver)
-        peers.there.subscribe(subscription(), SPEECH, far.deliver)
-        await peers.settle()
-        source.number = 5
-        publication.publish(feedback(4))
-        await peers.settle()
-        assert (near.numbers[-1], far.numbers[-1]) == (4, 5)
+async def test_a_source_of_a_volatile_topic_is_asked_while_somebody_elsewhere_reads(peers):
+    source, inbox = Numbers(), Inbox()
+    publication = peers.here.advertise(publisher(), SPEECH, source)
+    publication.refresh()
+    peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+    await peers.settle()
+    source.number = 5
+    publication.refresh()
+    await peers.settle()
+    assert inbox.numbers == [5]
+
+
+async def test_what_a_latched_source_publishes_itself_is_its_state_elsewhere(peers):
+    source, near, far = Numbers(), Inbox(), Inbox()
+    publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
+    peers.here.subscribe(subscription(), SPEECH, near.deliver)
+    peers.there.subscribe(subscription(), SPEECH, far.deliver)
+    await peers.settle()
+    source.number = 5
+    await say(peers, publication, 4)
+    assert (near.numbers[-1], far.numbers[-1]) == (4, 5)
 
 
 # --- on demand --------------------------------------------------------------------------------
@@ -807,68 +792,61 @@ def shy(endpoint):
 
 
 @pytest.mark.parametrize("is_first", [False, True])
-async def test_a_topic_on_demand_is_there_for_those_who_read_it(address, is_first):
+async def test_a_topic_on_demand_is_there_for_those_who_read_it(peers, is_first):
     inbox = Inbox()
-    async with two(address) as peers:
-        if is_first:
-            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-            await peers.settle()
-        publication = peers.here.advertise(shy(publisher()), SPEECH)
-        if not is_first:
-            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-        await until_read(publication)
-        publication.publish(feedback(3))
+    if is_first:
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
         await peers.settle()
-        assert inbox.numbers == [3]
-        assert "/chatter" in {each.name for each in peers.there.endpoints()}
+    publication = peers.here.advertise(shy(publisher()), SPEECH)
+    if not is_first:
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+    await until_read(publication)
+    await say(peers, publication, 3)
+    assert inbox.numbers == [3]
+    assert "/chatter" in {each.name for each in peers.there.endpoints()}
 
 
-async def test_a_topic_on_demand_is_there_for_those_who_write_it(address):
-    async with two(address) as peers:
-        inbox = Inbox()
-        peers.here.subscribe(shy(subscription()), SPEECH, inbox.deliver)
-        publication = peers.there.advertise(publisher(), SPEECH)
-        await until_read(publication)
-        publication.publish(feedback(3))
-        await peers.settle()
-        assert inbox.numbers == [3]
+async def test_a_topic_on_demand_is_there_for_those_who_write_it(peers):
+    inbox = Inbox()
+    peers.here.subscribe(shy(subscription()), SPEECH, inbox.deliver)
+    publication = peers.there.advertise(publisher(), SPEECH)
+    await until_read(publication)
+    await say(peers, publication, 3)
+    assert inbox.numbers == [3]
 
 
-async def test_a_service_on_demand_is_there_for_those_who_ask(address):
-    async with two(address) as peers:
-        peers.here.serve(shy(service()), SERVING, Adder())
-        caller = peers.there.join(client(), ASKING)
-        await until(peers.there, lambda: caller.is_served)
-        response: Any = (await caller.call(numbers(2, 3))).message
-        assert response.total == 5
+async def test_a_service_on_demand_is_there_for_those_who_ask(peers):
+    peers.here.serve(shy(service()), SERVING, Adder())
+    caller = peers.there.join(client(), ASKING)
+    await until(peers.there, lambda: caller.is_served)
+    response: Any = (await caller.call(numbers(2, 3))).message
+    assert response.total == 5
 
 
-async def test_a_latched_source_on_demand_tells_its_state_once_it_is_asked_for(address):
-    async with two(address) as peers:
-        source, far = Numbers(), Inbox()
-        source.number = 4
-        publication = peers.here.advertise(shy(publisher(qos=LATCHED)), SPEECH, source)
-        source.number = 5
-        publication.refresh()
-        await peers.settle()
-        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, far.deliver)
-        await peers.settle()
-        await peers.settle()
-        assert far.numbers[-1] == 5
+async def test_a_latched_source_on_demand_tells_its_state_once_it_is_asked_for(peers):
+    source, far = Numbers(), Inbox()
+    source.number = 4
+    publication = peers.here.advertise(shy(publisher(qos=LATCHED)), SPEECH, source)
+    source.number = 5
+    publication.refresh()
+    await peers.settle()
+    peers.there.subscribe(subscription(qos=LATCHED), SPEECH, far.deliver)
+    await peers.settle()
+    await peers.settle()
+    assert far.numbers[-1] == 5
 
 
-async def test_what_is_on_demand_and_closed_leaves_nothing_behind(address):
-    async with two(address) as peers:
-        opened = [
-            peers.here.advertise(shy(publisher()), SPEECH),
-            peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver),
-        ]
-        for each in opened:
-            each.close()
-        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
-        await peers.settle()
-        assert peers.there.endpoints() == ()
-        assert peers.here.context.demand.is_quiet
+async def test_what_is_on_demand_and_closed_leaves_nothing_behind(peers):
+    opened = [
+        peers.here.advertise(shy(publisher()), SPEECH),
+        peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver),
+    ]
+    for each in opened:
+        each.close()
+    peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
+    await peers.settle()
+    assert peers.there.endpoints() == ()
+    assert peers.here.context.demand.is_quiet
 
 
 async def test_a_node_without_parameters_answers_those_who_ask_for_them(address):
@@ -891,49 +869,45 @@ async def test_a_node_without_parameters_answers_those_who_ask_for_them(address)
 # --- many, and slow ones ----------------------------------------------------------------------
 
 
-async def test_a_flood_arrives_whole_and_in_order(address):
-    async with two(address) as peers:
-        publication, inbox = await connected(peers)
-        for number in range(5_000):
-            publication.publish(feedback(number))
-            if publication.is_congested:
-                await publication.drained()
-        await peers.settle()
-        while len(inbox.numbers) < 5_000:
-            await anyio.sleep(0)
-        assert inbox.numbers == list(range(5_000))
+async def test_a_flood_arrives_whole_and_in_order(peers):
+    publication, inbox = await connected(peers)
+    for number in range(5_000):
+        publication.publish(feedback(number))
+        if publication.is_congested:
+            await publication.drained()
+    await peers.settle()
+    while len(inbox.numbers) < 5_000:
+        await anyio.sleep(0)
+    assert inbox.numbers == list(range(5_000))
 
 
-async def test_who_publishes_more_than_goes_out_can_wait(address):
+async def test_who_publishes_more_than_goes_out_can_wait(peers):
     gate = threading.Event()
-    async with two(address) as peers:
-        publication, _ = await connected(peers)
-        peers.here.context.send_queue.post(gate.wait)  # as a reader that takes nothing does
-        while not publication.is_congested:
-            publication.publish(feedback(*range(1000)))
-        async with running(publication.drained) as waiting:
-            assert not waiting.done.is_set()
-            gate.set()
-            await waiting.done.wait()
-        assert not publication.is_congested
+    publication, _ = await connected(peers)
+    peers.here.context.send_queue.post(gate.wait)  # as a reader that takes nothing does
+    while not publication.is_congested:
+        publication.publish(feedback(*range(1000)))
+    async with running(publication.drained) as waiting:
+        assert not waiting.done.is_set()
+        gate.set()
+        await waiting.done.wait()
+    assert not publication.is_congested
 
 
-async def test_what_is_written_already_is_sent_to_other_processes_alone(address):
+async def test_what_is_written_already_is_sent_to_other_processes_alone(peers):
     near, far = Inbox(), Inbox()
-    async with two(address) as peers:
-        publication = peers.here.advertise(publisher(), SPEECH)
-        peers.there.subscribe(subscription(), SPEECH, far.deliver)
-        await peers.settle()
-        assert not publication.has_local_readers
-        peers.here.subscribe(subscription(), SPEECH, near.deliver)
-        assert publication.has_local_readers
-        publication.send(SPEECH.encode(feedback(1)))
-        publication.publish(feedback(2))
-        await peers.settle()
+    publication = peers.here.advertise(publisher(), SPEECH)
+    peers.there.subscribe(subscription(), SPEECH, far.deliver)
+    await peers.settle()
+    assert not publication.has_local_readers
+    peers.here.subscribe(subscription(), SPEECH, near.deliver)
+    assert publication.has_local_readers
+    publication.send(SPEECH.encode(feedback(1)))
+    await say(peers, publication, 2)
     assert (near.numbers, far.numbers) == ([2], [1, 2])
 
 
-async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkeypatch):
+async def test_what_is_sent_between_two_messages_keeps_its_place(peers, monkeypatch):
     """Else an acceptance would come behind the feedback of a body that never waits."""
     gate = threading.Event()
     seen: list[object] = []
@@ -941,17 +915,16 @@ async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkey
     def note(self, payload, attachment):
         seen.append(SPEECH.decode(payload))
 
-    async with two(address) as peers:
-        publication, _ = await connected(peers)
-        monkeypatch.setattr(Publisher, "put", note)
-        outbox = peers.here.context.send_queue
-        outbox.post(gate.wait)
-        publication.publish(feedback(1))
-        outbox.post(lambda: seen.append("a reply"))
-        publication.publish(feedback(2))
-        gate.set()
-        await peers.here.flush()
-        monkeypatch.undo()
+    publication, _ = await connected(peers)
+    monkeypatch.setattr(Publisher, "put", note)
+    outbox = peers.here.context.send_queue
+    outbox.post(gate.wait)
+    publication.publish(feedback(1))
+    outbox.post(lambda: seen.append("a reply"))
+    publication.publish(feedback(2))
+    gate.set()
+    await peers.here.flush()
+    monkeypatch.undo()
     assert seen == [feedback(1), "a reply", feedback(2)]
 
 
@@ -975,30 +948,28 @@ class PromptAdder(Adder):
 
 
 @pytest.mark.parametrize(("numbers", "total"), [([5], -1), ([2, 3], 5)])
-async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total):
-    async with two(address) as peers:
-        caller = await served(peers, PromptAdder(), "here", by="there")
-        reply = await caller.call(Sum.Request(numbers=numbers))
-        assert reply.message == Sum.Response(total=total)
+async def test_a_server_may_answer_at_once_or_in_a_while(peers, numbers, total):
+    caller = await served(peers, PromptAdder(), "here", by="there")
+    reply = await caller.call(Sum.Request(numbers=numbers))
+    assert reply.message == Sum.Response(total=total)
 
 
 @pytest.mark.parametrize(
     "is_served", [pytest.param(True, id="served"), pytest.param(False, id="removed")]
 )
-async def test_a_server_may_answer_later_without_a_task(address, is_served):
-    async with two(address) as peers:
-        adder = PromptAdder()
-        offered = peers.here.serve(service(), SERVING, adder)
-        caller = peers.there.join(client(), ASKING)
-        await peers.settle()
-        async with running(lambda: caller.call(numbers(1, 2, 3))) as called:
-            while not adder.kept:
-                await anyio.sleep(0)
-            assert not peers.here.context.crew.running
-            if not is_served:
-                offered.close()
-            adder.kept[0](Reply(Sum.Response(total=6)))
-        assert called.value.message == Sum.Response(total=6)
+async def test_a_server_may_answer_later_without_a_task(peers, is_served):
+    adder = PromptAdder()
+    offered = peers.here.serve(service(), SERVING, adder)
+    caller = peers.there.join(client(), ASKING)
+    await peers.settle()
+    async with running(lambda: caller.call(numbers(1, 2, 3))) as called:
+        while not adder.kept:
+            await anyio.sleep(0)
+        assert not peers.here.context.crew.running
+        if not is_served:
+            offered.close()
+        adder.kept[0](Reply(Sum.Response(total=6)))
+    assert called.value.message == Sum.Response(total=6)
 
 
 @pytest.mark.parametrize(
@@ -1030,25 +1001,23 @@ async def test_a_request_to_be_answered_later_is_refused_when_the_transport_clos
         (ServiceError("/add", "as told"), ServiceError("/add", "as told")),
     ],
 )
-async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fail, raised):
-    async with two(address) as peers:
-        caller = await served(peers, PromptAdder(fail), "here", by="there")
-        with pytest.raises(type(raised), match=re.escape(str(raised))):
-            await caller.call(Sum.Request(numbers=[0]))
+async def test_a_server_that_fails_at_once_tells_its_client(peers, caplog, fail, raised):
+    caller = await served(peers, PromptAdder(fail), "here", by="there")
+    with pytest.raises(type(raised), match=re.escape(str(raised))):
+        await caller.call(Sum.Request(numbers=[0]))
     assert ("the handler of service /add failed" in caplog.text) == (fail is None)
 
 
-async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
+async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(peers, monkeypatch):
     monkeypatch.setattr(services, "LOST", 0.0)
-    async with two(address) as peers:
-        caller = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
-        async with running(lambda: caller.call(numbers(1))) as called:
-            await peers.settle()
-            caller.close()
-            (token,) = peers.there.graph.tokens
-            peers.there.token_gone(token)  # and Zenoh says nothing of the call
-            await called.done.wait()
-        assert isinstance(called.error, ServerUnavailable)
+    caller = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
+    async with running(lambda: caller.call(numbers(1))) as called:
+        await peers.settle()
+        caller.close()
+        (token,) = peers.there.graph.tokens
+        peers.there.token_gone(token)  # and Zenoh says nothing of the call
+        await called.done.wait()
+    assert isinstance(called.error, ServerUnavailable)
 
 
 async def leave_the_graph(user: turtleact.Node, called: Any, settle: Any) -> None:
@@ -1091,17 +1060,16 @@ async def test_a_handler_is_canceled_once_the_client_of_its_caller_has_gone(addr
             await canceled.wait()
 
 
-async def test_closing_a_publisher_ends_the_waiting_for_it(address):
+async def test_closing_a_publisher_ends_the_waiting_for_it(peers):
     gate = threading.Event()
-    async with two(address) as peers:
-        publication, _ = await connected(peers)
-        peers.here.context.send_queue.post(gate.wait)
-        while not publication.is_congested:
-            publication.publish(feedback(*range(1000)))
-        async with running(publication.drained) as waiting:
-            publication.close()
-            await waiting.done.wait()
-        gate.set()
+    publication, _ = await connected(peers)
+    peers.here.context.send_queue.post(gate.wait)
+    while not publication.is_congested:
+        publication.publish(feedback(*range(1000)))
+    async with running(publication.drained) as waiting:
+        publication.close()
+        await waiting.done.wait()
+    gate.set()
 
 
 @pytest.mark.parametrize("reliability", ["reliable", "best_effort"])
@@ -1146,16 +1114,15 @@ async def test_a_server_that_closes_its_transport_answers_first(address):
         await until(here, lambda: not caller.is_served and len(here.endpoints()) == 1)
 
 
-async def test_a_transport_that_closes_ends_its_own_calls(address):
+async def test_a_transport_that_closes_ends_its_own_calls(peers):
     gate = anyio.Event()
-    async with two(address) as peers:
-        caller = await served(peers, Adder(gate=gate))
-        async with running(lambda: caller.call(numbers())) as called:
-            await peers.here.aclose()
-            await called.done.wait()
-        said = "the Zenoh transport was closed before there was an answer"
-        assert said in str(called.error)
-        gate.set()
+    caller = await served(peers, Adder(gate=gate))
+    async with running(lambda: caller.call(numbers())) as called:
+        await peers.here.aclose()
+        await called.done.wait()
+    said = "the Zenoh transport was closed before there was an answer"
+    assert said in str(called.error)
+    gate.set()
 
 
 async def test_a_closed_transport_takes_nothing_more(address):
@@ -1404,11 +1371,10 @@ async def counted(address: str, body: Any):
             yield lab, handle
 
 
-async def test_a_service_error_that_utf_8_cannot_encode_is_escaped(address):
-    async with two(address) as peers:
-        caller = await served(peers, Adder(ServiceError("/add", "caf\udce9")))
-        with pytest.raises(ServiceError, match=re.escape(r"caf\udce9")):
-            await caller.call(numbers())
+async def test_a_service_error_that_utf_8_cannot_encode_is_escaped(peers):
+    caller = await served(peers, Adder(ServiceError("/add", "caf\udce9")))
+    with pytest.raises(ServiceError, match=re.escape(r"caf\udce9")):
+        await caller.call(numbers())
 
 
 async def test_who_attaches_itself_later_sees_the_last_feedback_sent_to_another_process(address):
@@ -1548,31 +1514,6 @@ async def test_the_first_field_in_which_services_differ_is_named(address):
             await user.service_client(Wider, "add").call(Wider.Request())
 
 
-async def test_an_action_of_a_node_is_used_from_another_process(address):
-    types = implied(Count)
-    async with two_nodes(address) as (peers, lab, user):
-        lab.action_server(Count, "count", count)
-        heard = user.subscription(types.feedback_message, "count/_action/feedback")
-        latched = QoS(depth=1, durability="transient_local")
-        watched = user.subscription(GoalStatusArray, "count/_action/status", latched)
-        send = user.service_client(types.send_goal, "count/_action/send_goal")
-        get = user.service_client(types.get_result, "count/_action/get_result")
-        assert await send.wait_for_service()
-        assert await get.wait_for_service()
-        await peers.settle()
-        goal_id = UUID(bytes(range(16)))
-        assert (await send.call(types.send_goal.Request(goal_id=goal_id, goal=goal(3)))).accepted
-        answer = await get.call(types.get_result.Request(goal_id))
-        assert (answer.status, answer.result) == (4, result(0, 1, 2))
-        said = [(await anext(heard)).feedback for _ in range(3)]
-        assert said == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
-        while (statuses := watched.latest) is None or not statuses.status_list:
-            await anext(watched)
-        (status,) = statuses.status_list
-        assert status.goal_info.goal_id == goal_id
-        assert user.graph().actions == {"/count": (Count.type_name,)}
-
-
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.session.PATIENCE", 0.1)
     gate, asked = Gate(), list[bytes]()
@@ -1630,21 +1571,6 @@ async def test_a_change_of_the_graph_is_told_once_a_reader_is_reached(address):
         there.subscribe(subscription(), SPEECH, print)
         while not publication.has_readers:
             await here.wait_for_change()
-
-
-async def test_a_token_that_dies_while_it_is_told_of_is_not_in_the_graph(address, monkeypatch):
-    async with two(address) as (here, there, settle):
-        there.enter("/ghost")
-        await settle()
-        (ghost,) = here.graph.tokens
-
-        def tell_late(key):
-            here.context.receive_queue.push(lambda: here.token_gone(ghost))
-            return [ghost]
-
-        monkeypatch.setattr(here.context.session, "tokens", tell_late)
-        await here.explore()
-        assert here.nodes() == ()
 
 
 class Unending:
