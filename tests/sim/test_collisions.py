@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.sim.fleet import BODY, stopped
 from turtleact.sim.kinematics import DT
-from turtleact.sim.world import World
+from turtleact.sim.world import BODY, World, stopped
 
 places = st.builds(complex, st.floats(0.0, 3.0), st.floats(0.0, 3.0))
 steps = st.one_of(st.just(0j), st.builds(complex, st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)))

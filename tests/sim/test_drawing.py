@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 
 from turtleact.sim import drawing
 from turtleact.sim.drawing import TOLERANCE, Canvas, Drawing
-from turtleact.sim.paint import METER, Colour, Pen
+from turtleact.sim.pictures import METER, Colour, Pen
 
 RED, BLUE = Pen(Colour(255, 0, 0), 3), Pen(Colour(0, 0, 255), 5)
 
-# On a grid: a line that bends by less than a millionth of a pixel is drawn as if it was straight,
-# which decides where a pixel goes that lies exactly between two.
 sides = st.integers(0, 11 * 1024).map(lambda number: number / 1024)
 places = st.builds(complex, sides, sides)
 steps = st.builds(cmath.rect, st.floats(0.0, 0.1), st.floats(-3.14, 3.14))
@@ -74,59 +72,10 @@ def test_the_pixels_are_those_of_every_line_in_its_order(hops):
     assert ours.pixels() == pixels_of(lines)
 
 
-@pytest.mark.parametrize("points", [CIRCLE, path([0.0] * 200), path([0.5, 0.0, 0.0, -0.5] * 20)])
-def test_straight_ways_that_are_drawn_as_one_line_have_the_same_pixels(points):
-    expected = pixels_of([(RED, start, end) for start, end in pairwise(points)])
-    assert draw(Drawing(), points).pixels() == expected
-
-
 def test_a_colour_is_that_of_the_pixel_nearest_to_the_place():
     ours = draw(Drawing(), [1 + 1j, 2 + 1j])
     assert ours.colour_at(1.5 + 1j) == RED.colour
     assert ours.colour_at(1.5 + 1.2j) == (255, 255, 255)
-
-
-# Of a fleet
-
-NUMBERS = np.arange(1, 61)
-
-
-def ways_of(turns, ticks, seed):
-    """Where a fleet is tick by tick, if each turtle turns in so many of ten ticks."""
-    generator = np.random.default_rng(seed)
-    places = generator.uniform(1.0, 10.0, (len(NUMBERS), 2)).view(np.complex128)[:, 0]
-    heading = generator.uniform(-3.0, 3.0, len(NUMBERS))
-    ways = [places]
-    for _ in range(ticks):
-        bends = generator.random(len(NUMBERS)) < turns
-        heading = heading + bends * generator.normal(0.0, 0.5, len(NUMBERS))
-        length = 0.03 * (generator.random(len(NUMBERS)) < 0.9)  # some stand still
-        places = places + length * np.exp(1j * heading)
-        ways.append(places)
-    return ways
-
-
-def draw_fleet(drawing, ways, pens):
-    for tick, (start, end) in enumerate(pairwise(ways)):
-        moved = start != end
-        drawing.lines(pens[tick % len(pens)], NUMBERS[moved], start[moved], end[moved])
-    return drawing
-
-
-def draw_one_by_one(drawing, ways, pens):
-    for tick, (start, end) in enumerate(pairwise(ways)):
-        for number, here, there in zip(NUMBERS, start.tolist(), end.tolist(), strict=True):
-            if here != there:
-                drawing.line(int(number), pens[tick % len(pens)], here, there)
-    return drawing
-
-
-@pytest.mark.parametrize("pens", [[RED], [RED, BLUE], [RED] * 20 + [BLUE]])
-@pytest.mark.parametrize("turns", [0.0, 0.1, 1.0])
-def test_the_pixels_of_a_fleet_are_those_of_every_line_in_its_order(pens, turns):
-    ways = ways_of(turns, ticks=60, seed=3)
-    fleet = draw_fleet(Drawing(), ways, pens)
-    assert fleet.pixels() == draw_one_by_one(Drawing(), ways, pens).pixels()
 
 
 # As polylines

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from turtleact.sim.drawing import Pens
-from turtleact.sim.paint import METER, Colour, Pen
+from turtleact.sim.pictures import METER, Colour, Pen
 from turtleact.sim.world import World
 
 RED, GREEN = Colour(255, 0, 0), Colour(0, 255, 0)

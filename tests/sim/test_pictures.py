@@ -15,10 +15,12 @@ import pytest
 
 from turtleact.sim import drawing as drawing_module
 from turtleact.sim.drawing import Drawing
-from turtleact.sim.paint import SIZE, Colour, Pen
 from turtleact.sim.pictures import (
     BACKGROUND,
+    SIZE,
+    Colour,
     Figure,
+    Pen,
     Snapshot,
     shades_of,
     thumbnail,

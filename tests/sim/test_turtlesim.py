@@ -17,8 +17,7 @@ from turtleact.interfaces.standard.rcl_interfaces.srv import (
     ListParameters,
     SetParameters,
 )
-from turtleact.sim.paint import Pen
-from turtleact.sim.pictures import to_png
+from turtleact.sim.pictures import Pen, to_png
 from turtleact.sim.world_services import Poses
 from turtleact.tasks.clock import VirtualClock
 

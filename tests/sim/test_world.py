@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from turtleact.errors import SimError
-from turtleact.sim.kinematics import DT, SIDE, Hit
+from turtleact.sim.kinematics import DT, HALF_TURN, SIDE, Hit, wrap
 from turtleact.sim.world import World
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -20,6 +22,32 @@ POSES = {
 PROBED_FROM = (5.544445, 5.544445, 0.0)
 
 FEW, MANY = 3, 40
+PI = 3.14159265  # as turtle.hpp defines it
+
+
+class RealTurtles:
+    """``Turtle::update`` of turtle.cpp, for the turtles of a new world, without pens."""
+
+    def __init__(self, world: World) -> None:
+        places = world.places()
+        self.x, self.y = places.real.copy(), places.imag.copy()
+        self.orient = np.array([world.heading(name) for name in world.names])
+        self.speeds = np.zeros((3, len(places)))
+        self.commanded = -math.inf
+
+    def update(self, now: float) -> None:
+        if now - self.commanded > 1.0:
+            self.speeds = np.zeros_like(self.speeds)
+        vx, vy, omega = self.speeds
+        angle = self.orient + omega * DT
+        angle -= 2.0 * PI * np.floor((angle + PI) / (2.0 * PI))
+        self.orient = np.where((angle >= -PI) & (angle < PI), angle, -PI)
+        cos, sin = np.cos(self.orient), np.sin(self.orient)
+        self.x = np.clip(self.x + (cos * vx - sin * vy) * DT, 0.0, SIDE)
+        self.y = np.clip(self.y - (sin * vx + cos * vy) * DT, 0.0, SIDE)
+
+    def poses(self) -> np.ndarray:
+        return np.array([self.x, SIDE - self.y, self.orient]).astype(np.float32)
 
 
 def table(name: str) -> list[list[str]]:
@@ -106,6 +134,70 @@ def test_an_absolute_teleport_is_clamped_and_wrapped_as_the_real_one():
 
 
 # --- figures computed from turtlesim's formulas ---------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 1000])
+def test_20000_ticks_of_random_driving_round_to_turtlesims_float32(count):
+    rng, ours = np.random.default_rng(2), World(count, holonomic=True)
+    real = RealTurtles(ours)
+    for tick in range(20_000):
+        if tick % 70 == 0:  # after 63 ticks, a command ends
+            speeds = rng.uniform(-2.0, 2.0, (3, count)) * rng.integers(0, 2, (3, count))
+            ours.set_velocities(*speeds)
+            real.speeds, real.commanded = speeds, tick * DT
+        ours.step()
+        real.update(tick * DT)
+        assert (real.poses() == ours.poses()[:, :3].T).all()
+
+
+def test_a_turtle_does_the_same_alone_and_among_others():
+    together, alone = World(FEW), World(1)
+    for world in (together, alone):
+        world.set_velocity("turtle1", 1.3, 0.0, 0.7)
+    together.set_velocity("turtle2", 2.0)
+    for _ in range(80):
+        together.step()
+        alone.step()
+        assert together.pose("turtle1") == alone.pose("turtle1")
+
+
+def test_half_a_turn_wraps_to_its_negative():
+    assert wrap(HALF_TURN) == -HALF_TURN == -PI
+
+
+@given(st.floats(-1e300, 1e300))
+def test_a_wrapped_angle_is_in_the_half_open_range(theta):
+    assert -PI <= wrap(theta) < PI
+
+
+@given(st.tuples(*[st.floats(-1e307, 1e307)] * 3))
+def test_no_speed_leads_out_of_the_walls(command):
+    world = World(holonomic=True)
+    world.set_velocity("turtle1", *command)
+    x, y, theta, *_ = run(world, 5).pose("turtle1")
+    assert 0.0 <= x <= SIDE
+    assert 0.0 <= y <= SIDE
+    assert -3.1415928 <= theta <= 3.1415928
+
+
+def test_commands_end_one_by_one():
+    world, moving = World(2), []
+    for tick in range(100):
+        if tick in (0, 10):
+            world.set_velocity(tick // 10, 0.1)
+        moving.append(run(world, 1).poses()[:, 3] > 0.0)
+    assert np.sum(moving, axis=0).tolist() == [63, 63]
+
+
+# --- walls ----------------------------------------------------------------------------------
+
+
+def test_hits_come_in_the_order_of_the_indices_and_once_for_a_corner():
+    world = World(4)
+    world.teleport_absolute("turtle4", 20.0, -1.0, 0.0)
+    world.teleport_absolute("turtle2", -2.0, 3.0, 0.0)
+    assert world.step() == [Hit(1, -2.0, SIDE - 3.0), Hit(3, 20.0, SIDE + 1.0)]
+    assert world.step() == []  # they only touch the walls now
 
 
 # --- time and commands ----------------------------------------------------------------------

@@ -2,11 +2,10 @@
 
 These modules depend on neither ROS nor a clock:
 
-- `world` keeps the turtles by name, and applies commands, teleports and walls.
-- `fleet` moves turtles by one step, and finds the turtles that block each other. `kinematics` has
-  the constants and types of a step, and chooses where turtles start.
-- `drawing` has the turtles' pens, and draws their lines. `pictures` turns a drawing into SVG and
-  PNG, and `paint` has the sizes and colours of pictures.
+- `world` keeps the turtles by name, and moves them by commands, teleports, walls and collisions.
+  `kinematics` has the constants and types of a step, and chooses where turtles start.
+- `drawing` has the turtles' pens, and draws their lines. `pictures` has the sizes and colours of
+  pictures, and turns a drawing into SVG and PNG.
 
 These modules make the world a ROS node:
 

@@ -6,9 +6,8 @@ names. Each turtle draws its teleports, senses the colour under it, and then dra
 turtle therefore senses the new lines of turtles with earlier names. A turtle does not sense the
 line of its own step.
 
-`Drawing` joins the straight steps of a turtle into one line, and stores lines until somebody reads
-the drawing, or until `UNREAD` lines are stored. Then it converts them to pixels and polylines. An
-unread drawing therefore costs little.
+`Drawing` stores lines until somebody reads the drawing, or until `UNREAD` lines are stored. Then it
+converts them to pixels and polylines.
 
 - Pixels show every line, and later lines cover earlier lines.
 - A polyline omits a point only if the polyline passes within `TOLERANCE` of the point.
@@ -33,20 +32,20 @@ from __future__ import annotations
 
 import math
 from itertools import groupby
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from turtleact.geometry import phase
-from turtleact.sim.paint import METER, SIZE, Colour, Pen
+from turtleact.sim.pictures import METER, SIZE, Colour, Pen, Polyline
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from turtleact.sim.world import World
 
-__all__ = ["CLEAR", "MOST_POINTS", "TOLERANCE", "Canvas", "Drawing", "Pens", "Polyline"]
+__all__ = ["CLEAR", "MOST_POINTS", "TOLERANCE", "Canvas", "Drawing", "Pens"]
 
 TOLERANCE: Final = 0.05
 """A polyline omits a point only if the polyline passes at most this far from it (pixels)."""
@@ -66,9 +65,6 @@ UNREAD: Final = 1024
 The conversion of so many lines takes a few milliseconds.
 """
 
-_STRAIGHT: Final = 1e-6
-"""Lines that bend by less than this (pixels) become one line, because no pixel shows the bend."""
-
 THINNEST: Final = 1
 """The actual width (pixels) of a pen with the width 0."""
 
@@ -84,58 +80,33 @@ _FLAT: Final = 1e-9
 The difference is too small to change a pixel.
 """
 
-_MOST: Final = 1024
-"""How many lines are converted to pixels at a time. A higher number would only use more memory."""
-
-
 Places: TypeAlias = npt.NDArray[np.complex128]
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Whole: TypeAlias = npt.NDArray[np.int64]
-Numbers: TypeAlias = npt.NDArray[np.intp]
-_Lines: TypeAlias = tuple[Numbers, Places, Places]
-"""Three arrays of shape (N,): the number of the turtle, the start and the end of each line (m)."""
-
-
-class Polyline(NamedTuple):
-    """A line with bends. Its points are in pixels, ``x + 1j * y``, from the upper left corner."""
-
-    pen: Pen
-    points: tuple[complex, ...]
 
 
 class Drawing:
     """Everything drawn since the drawing was made or cleared."""
 
     def __init__(self) -> None:
-        self._pen = Pen()
-        self._runs = _Runs(_STRAIGHT / METER)  # of `_pen`
         self.clear()
 
     def line(self, turtle: int, pen: Pen, start: complex, end: complex) -> None:
-        """Draw a straight line, as `lines` does for several turtles."""
-        self.lines(pen, np.array([turtle]), np.array([start]), np.array([end]))
-
-    def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
-        """Draw a straight line for each of several turtles with one pen.
+        """Draw a straight line.
 
         Args:
+            turtle: The number of the turtle. The lines of a turtle are joined into polylines.
             pen: The pen.
-            who: Array of shape (N,): the numbers of the turtles, without duplicates. The lines of a
-                turtle are joined into polylines.
-            start: Array of shape (N,): where each line begins, ``x + 1j * depth`` (m).
-            end: Array of shape (N,): where each line ends (m). If it equals ``start``, a dot is
-                drawn.
+            start: Where the line begins, ``x + 1j * depth`` (m).
+            end: Where the line ends (m). If it equals ``start``, a dot is drawn.
         """
-        if pen != self._pen:  # later lines cover earlier ones, so these are finished first
-            self._store(self._runs.take_all())
-            self._pen = pen
-        self._store(self._runs.take(who, start, end))
+        self._unread.append((pen, turtle, start, end))
+        if len(self._unread) >= UNREAD:
+            self._read()
 
     def clear(self) -> None:
         """Erase everything."""
-        self._runs.take_all()
-        self._unread: list[tuple[Pen, _Lines]] = []
-        self._unread_count = 0
+        self._unread: list[tuple[Pen, int, complex, complex]] = []
         self._canvas = Canvas()
         self._base: bytes | None = None
         self._strokes: list[_Stroke] = []
@@ -166,27 +137,14 @@ class Drawing:
         self._read()
         return [stroke.polyline() for stroke in self._strokes]
 
-    def _store(self, lines: _Lines) -> None:
-        if len(lines[0]):
-            self._unread.append((self._pen, lines))
-            self._unread_count += len(lines[0])
-            if self._unread_count >= UNREAD:
-                self._convert()
-
     def _read(self) -> None:
-        self._store(self._runs.take_all())
-        self._convert()
-
-    def _convert(self) -> None:
         """Convert the stored lines to pixels and polylines."""
-        unread, self._unread, self._unread_count = self._unread, [], 0
+        unread, self._unread = self._unread, []
         for pen, group in groupby(unread, lambda stored: stored[0]):
-            numbers, starts, ends = zip(*(lines for _, lines in group), strict=True)
-            who = np.concatenate(numbers)
-            start: Places = np.concatenate(starts) * complex(METER)
-            end: Places = np.concatenate(ends) * complex(METER)
+            _, turtles, starts, ends = zip(*group, strict=True)
+            start, end = np.array((starts, ends)) * complex(METER)
             self._canvas.draw(start, end, pen)
-            for turtle, here, there in zip(who.tolist(), start.tolist(), end.tolist(), strict=True):
+            for turtle, here, there in zip(turtles, start.tolist(), end.tolist(), strict=True):
                 self._extend(turtle, pen, here, there)
 
     def _extend(self, turtle: int, pen: Pen, start: complex, end: complex) -> None:
@@ -221,14 +179,8 @@ class Pens:
         self.drawing = Drawing()
         self._world = world
         self._count = 0
-        self._holders: dict[str, _Holder] = {}
-        self._jumps: dict[str, list[tuple[complex, complex]]] = {}
-        self._names: tuple[str, ...] = ()
-        self._numbers: Numbers = np.zeros(0, np.intp)
-        self._shared: Pen | None = None
-        self._places: Places = np.zeros(0, np.complex128)
         world.on_jump = self._jump
-        self._provide_all()
+        self.forget_all()
 
     def set(self, turtle: str, colour: Colour, width: int = 0, *, is_off: bool = False) -> None:
         """Change a turtle's pen. The change affects the turtle's next lines.
@@ -244,7 +196,6 @@ class Pens:
         holder.is_on = not is_off
         if not is_off:
             holder.pen = Pen(colour, width or THINNEST)
-        self._compare_pens()
 
     def colour(self, turtle: str) -> Colour:
         """Return the colour of a turtle's pen, whether the pen is on or off."""
@@ -252,21 +203,23 @@ class Pens:
 
     def hand_out(self, turtle: str) -> None:
         """Give a new turtle a pen; call this before the next step."""
-        self._provide(turtle)
-        self._take_stock()
+        self._count += 1
+        self._holders[turtle] = _Holder(self._count)
+        self._places = self._world.places()
 
     def take_back(self, turtle: str) -> None:
         """Remove the pen of a turtle that was removed; call this before the next step."""
         del self._holders[turtle]
         self._jumps.pop(turtle, None)
-        self._take_stock()
+        self._places = self._world.places()
 
     def forget_all(self) -> None:
         """Erase the drawing, and give every existing turtle a new pen."""
-        self._holders.clear()
-        self._jumps.clear()
         self.drawing.clear()
-        self._provide_all()
+        self._holders: dict[str, _Holder] = {}
+        self._jumps: dict[str, list[tuple[complex, complex]]] = {}
+        for name in self._world.names:
+            self.hand_out(name)
 
     def follow(self, sensed: Collection[str] = ()) -> dict[str, Colour]:
         """Draw the lines of the world's latest step, including its teleports.
@@ -277,27 +230,13 @@ class Pens:
         Returns:
             The colours that these turtles sensed, by name.
         """
-        before, now = self._places, self._world.places()
-        self._places = now
-        (moved,) = (now != before).nonzero()
-        if sensed or self._jumps or self._shared is None:
-            return self._follow_each(sensed, moved, before)
-        if len(moved):
-            self.drawing.lines(self._shared, self._numbers[moved], before[moved], now[moved])
-        return {}
-
-    def _follow_each(
-        self, sensed: Collection[str], moved: Numbers, before: Places
-    ) -> dict[str, Colour]:
-        # Somebody senses a colour, a turtle was teleported, or the pens differ. The order within
-        # the tick now matters, so the turtles draw one after the other, in name order, as in
-        # turtlesim.
-        index_of = {name: index for index, name in enumerate(self._names)}
+        before, self._places = self._places, self._world.places()
+        (moved,) = (self._places != before).nonzero()
+        drawn = {*moved.tolist(), *map(self._world.index, (*sensed, *self._jumps))}
         colours: dict[str, Colour] = {}
-        wanted = {*sensed, *self._jumps, *(self._names[index] for index in moved.tolist())}
-        for name in sorted(wanted):
-            index = index_of[name]
-            start, end = complex(before[index]), complex(self._places[index])
+        starts, ends, names = before.tolist(), self._places.tolist(), self._world.names
+        for index in sorted(drawn):
+            name, start, end = names[index], starts[index], ends[index]
             for here, there in self._jumps.pop(name, ()):
                 self._draw(name, here, there)
                 start = there
@@ -306,26 +245,6 @@ class Pens:
             if start != end:
                 self._draw(name, start, end)
         return colours
-
-    def _provide_all(self) -> None:
-        for name in self._world.names:
-            self._provide(name)
-        self._take_stock()
-
-    def _provide(self, turtle: str) -> None:
-        self._count += 1
-        self._holders[turtle] = _Holder(self._count)
-
-    def _take_stock(self) -> None:
-        self._names, self._places = self._world.names, self._world.places()
-        self._numbers = np.array([self._holders[name].number for name in self._names], np.intp)
-        self._compare_pens()
-
-    def _compare_pens(self) -> None:
-        """Find out whether all turtles have the same pen, and all pens are on."""
-        holders = self._holders.values()
-        pens = {holder.pen if holder.is_on else None for holder in holders}
-        self._shared = pens.pop() if len(pens) == 1 else None
 
     def _draw(self, turtle: str, start: complex, end: complex) -> None:
         holder = self._holders[turtle]
@@ -345,59 +264,6 @@ class _Holder:
         self.number = number
         self.pen = Pen()
         self.is_on = True
-
-
-class _Runs:
-    """The unfinished lines of one pen, at most one per turtle.
-
-    Args:
-        bend: How far a line may deviate and still count as straight (m).
-    """
-
-    def __init__(self, bend: float) -> None:
-        self._bend = bend
-        self._is_held = np.zeros(0, np.bool_)
-        self._start = np.zeros(0, np.complex128)
-        self._end = np.zeros(0, np.complex128)
-
-    def take(self, who: Numbers, start: Places, end: Places) -> _Lines:
-        """Add a straight segment to the lines of some turtles. Return the lines that have ended.
-
-        A segment extends its turtle's line if the segment begins at the line's end and has the same
-        direction. Otherwise, the line ends, and the segment begins a new line.
-
-        Args:
-            who: Array of shape (N,): the numbers of the turtles, without duplicates.
-            start: Array of shape (N,): where each segment begins (m).
-            end: Array of shape (N,): where each segment ends (m).
-        """
-        self._make_room(int(who.max()) + 1)
-        is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start
-        length, more = np.abs(way), np.abs(step)
-        turned = step * way.conj()
-        is_straight = np.abs(turned.imag) <= self._bend * np.minimum(length, more)
-        goes_on = is_held & is_straight & (turned.real > 0.0)  # a dot has no direction
-        goes_on &= self._end[who] == start
-        over = who[is_held & ~goes_on]
-        ended = over, self._start[over], self._end[over]
-        new = who[~goes_on]
-        self._start[new] = start[~goes_on]
-        self._is_held[new] = True
-        self._end[who] = end
-        return ended
-
-    def take_all(self) -> _Lines:
-        """Return all unfinished lines, and forget them."""
-        (who,) = self._is_held.nonzero()
-        self._is_held[:] = False
-        return who, self._start[who], self._end[who]
-
-    def _make_room(self, count: int) -> None:
-        more = count - len(self._is_held)
-        if more > 0:
-            self._is_held = np.append(self._is_held, np.zeros(more, np.bool_))
-            self._start = np.append(self._start, np.zeros(more, np.complex128))
-            self._end = np.append(self._end, np.zeros(more, np.complex128))
 
 
 class _Stroke:
@@ -490,10 +356,8 @@ class Canvas:
             pen: The pen.
         """
         red, green, blue = pen.colour
-        for at in range(0, len(start), _MOST):
-            some = slice(at, at + _MOST)
-            found = _pixels(start[some], end[some], pen.width / 2.0)
-            self.pixels[found] = _OPAQUE | blue << 16 | green << 8 | red
+        found = _pixels(start, end, pen.width / 2.0)
+        self.pixels[found] = _OPAQUE | blue << 16 | green << 8 | red
 
 
 def _pixels(start: Places, end: Places, half: float) -> _Whole:

@@ -30,13 +30,10 @@ __all__ = [
     "DT",
     "HALF_TURN",
     "MIDDLE",
-    "NEVER",
     "PLACINGS",
     "SIDE",
-    "Command",
     "Hit",
     "Place",
-    "State",
     "check_finite",
     "place_ahead",
     "place_at",
@@ -58,39 +55,12 @@ In the 64th tick, the command would be 1.008 s old, and turtlesim drops commands
 """
 
 
-NEVER = 2**62
-"""The number of a tick that never comes."""
-
-
-class Command(NamedTuple):
-    """A turtle's speeds: ahead (m/s), to the left (m/s), and turning to the left (rad/s)."""
-
-    vx: float
-    vy: float
-    omega: float
-
-
 class Place(NamedTuple):
     """A place to put a turtle: x (m), depth below the upper edge (m), theta (rad, any angle)."""
 
     x: float
     depth: float
     theta: float
-
-
-class State(NamedTuple):
-    """The place and the speeds of a turtle, not rounded.
-
-    After a step, x and depth (m) are in [0, SIDE], and theta (rad) is in [-pi, pi). The speeds are
-    the values of the turtle's command, or 0 if the turtle has no command.
-    """
-
-    x: float
-    depth: float
-    theta: float
-    vx: float
-    vy: float
-    omega: float
 
 
 class Hit(NamedTuple):
@@ -137,11 +107,11 @@ def place_at(x: float, y: float, theta: float) -> Place:
     return Place(x, depth, theta)
 
 
-def place_ahead(state: State, linear: float, angular: float) -> Place:
+def place_ahead(start: Place, linear: float, angular: float) -> Place:
     """Return where a turtle is after turning by an angle (rad), then moving straight on (m)."""
-    theta = state.theta + angular
-    x = state.x + math.cos(theta) * linear
-    return Place(x, state.depth - math.sin(theta) * linear, theta)
+    theta = start.theta + angular
+    x = start.x + math.cos(theta) * linear
+    return Place(x, start.depth - math.sin(theta) * linear, theta)
 
 
 def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:

@@ -36,7 +36,7 @@ from turtleact.interfaces.standard import (
     Twist,
 )
 from turtleact.sim.kinematics import wrap
-from turtleact.sim.paint import Colour
+from turtleact.sim.pictures import Colour
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:

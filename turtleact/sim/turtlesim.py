@@ -27,8 +27,7 @@ from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
 from turtleact.node.topics import publish_unchecked
 from turtleact.sim.drawing import Pens
-from turtleact.sim.paint import BACKGROUND, Colour
-from turtleact.sim.pictures import Figure, Snapshot, thumbnail
+from turtleact.sim.pictures import BACKGROUND, Colour, Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world_services import Pictures, Poses, Simulation, Ticking, poses_of
 from turtleact.tasks import current_tasks

@@ -1,33 +1,39 @@
-"""A world of turtles, which moves them step by step.
+"""A world of turtles, one or thousands, which moves them step by step.
 
-Each step first applies the requests that came after the previous step: the newest command of each
-turtle, and then all teleports in the order in which they came. Then each turtle, in the order of
-the names, drops its command if the command is too old, turns, moves, and is stopped by the walls.
-Two worlds with the same seed and the same calls have the same results, to the last bit.
+Each step first makes the teleports that were asked for since the previous step, in the order in
+which they came. Then each turtle drops its command if that is too old, turns, moves along its new
+heading, and is stopped by the walls. These are turtlesim's operations in turtlesim's order, so the
+poses are the same to the last bit of a float32. Two worlds with the same seed and the same calls
+have the same results.
+
+If turtles collide, each is a disc. If a step would make two discs overlap and bring them closer
+than before, neither turtle moves. A turtle that does not move may block a third turtle, so that the
+third turtle does not move either, and so on. Therefore, two separate discs never begin to overlap,
+and two overlapping discs can only move apart. The result does not depend on the order of the
+turtles.
 
 This module knows no ROS and no clock: simulated time is the number of steps times ``DT``, and the
 caller of `World.step` decides how fast it passes. All randomness comes from a seed.
 
-Source: turtlesim 1.8.2, ``turtle_frame.cpp`` and ``turtle.cpp``.
+Source: turtlesim 1.8.2, ``turtle_frame.cpp`` and ``turtle.cpp``; for collisions the cell lists of
+molecular dynamics (Allen and Tildesley, Computer Simulation of Liquids, section 5.3.2).
 """
 
 from __future__ import annotations
 
-import math
-from array import array
 from bisect import bisect
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from turtleact.errors import SimError
-from turtleact.sim.fleet import Fleet, stopped
 from turtleact.sim.kinematics import (
+    COMMAND_TICKS,
     DT,
+    HALF_TURN,
     MIDDLE,
     SIDE,
-    Command,
     Hit,
     Place,
     check_finite,
@@ -40,9 +46,23 @@ from turtleact.sim.kinematics import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from turtleact.sim.kinematics import State
+__all__ = ["BODY", "Pose", "World", "stopped"]
 
-__all__ = ["Names", "Pose", "World"]
+_Floats: TypeAlias = npt.NDArray[np.float64]
+_Complexes: TypeAlias = npt.NDArray[np.complex128]
+_Indices: TypeAlias = npt.NDArray[np.intp]
+
+BODY: Final = 0.3
+"""The radius of a turtle (m), measured on its picture without head and tail."""
+
+_COLUMNS: Final = 1 << 20
+"""A cell's number is its row times this factor, plus its column.
+
+Every column is smaller than this factor.
+"""
+
+_AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
+"""The offsets from a cell's number to those of its eight neighbours and of the cell itself (0)."""
 
 
 class Pose(NamedTuple):
@@ -73,14 +93,16 @@ class World:
         placing: How the turtles are placed at the start: ``"random"``, ``"grid"`` or ``"ring"``.
         holonomic: Whether turtles can move sideways. If turtles cannot move sideways, ``vy`` is
             ignored, as in turtlesim.
-        collide: Whether turtles that meet stop each other (`turtleact.sim.fleet`).
+        collide: Whether turtles that meet stop each other.
 
     Attributes:
+        names: The names of the turtles, sorted as strings. A turtle's index is its position here.
         holonomic: Whether turtles can move sideways. You may change this attribute at any time; the
             change applies to later commands.
         on_jump: Called for each teleport when it is made, with the turtle's name, its old place and
             its new place. A place is ``x + 1j * depth`` (m), where ``depth`` is the distance from
             the upper edge.
+        tick: The number of steps made so far.
 
     Raises:
         SimError: if ``turtles`` is below 1, or ``placing`` is unknown.
@@ -94,6 +116,13 @@ class World:
         [6.602817, 6.93899, 1.8144, 0.0, 0.0]
     """
 
+    names: tuple[str, ...]
+    # By row: x, depth and theta of each turtle; vx, vy and omega of each turtle's command.
+    _places: _Floats
+    _speeds: _Floats
+    _expires: npt.NDArray[np.int64]
+    _teleports: list[tuple[str, Callable[[Place], Place]]]
+
     def __init__(
         self,
         turtles: int = 1,
@@ -106,38 +135,22 @@ class World:
         if turtles < 1:
             raise SimError(f"a world of {turtles} turtles: give 1 or more")
         places = starts(turtles, placing, seed)
-        numbers = sorted(range(1, turtles + 1), key=str)
-        self._first = {f"turtle{number}": places[number - 1] for number in numbers}
+        self._first = {f"turtle{number}": place for number, place in enumerate(places, 1)}
         self.holonomic = holonomic
         self.on_jump: Callable[[str, complex, complex], None] | None = None
+        self.tick = 0
         self._collide = collide
-        self._tick = 0
-        self._is_asked = False
-        self._commands: dict[int, Command] = {}
-        self._fleet_command: npt.NDArray[np.float64] | None = None
-        self._teleports: list[tuple[int, Callable[[State], Place]]] = []
-        self._turtles: Fleet
         self._begin(self._first)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the turtles, sorted as strings. A turtle's index is its position here."""
-        return self._names.names
-
-    @property
-    def tick(self) -> int:
-        """The number of steps made so far."""
-        return self._tick
 
     @property
     def time(self) -> float:
         """The simulated time (s)."""
-        return self._tick * DT
+        return self.tick * DT
 
     def set_velocity(
         self, turtle: str | int, vx: float, vy: float = 0.0, omega: float = 0.0
     ) -> None:
-        """Give a turtle a velocity command, which takes effect in the next step.
+        """Give a turtle a velocity command, which moves it from the next step on.
 
         The command replaces the turtle's earlier command. It lasts for 63 steps, unless another
         command replaces it.
@@ -151,11 +164,9 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a speed is not finite.
         """
-        index = self._names.index(turtle)
-        if not math.isfinite(vx + vy + omega):
-            check_finite(self.names[index], vx=vx, vy=vy, omega=omega)
-        self._commands[index] = Command(vx, vy if self.holonomic else 0.0, omega)
-        self._is_asked = True
+        index = self.index(turtle)
+        check_finite(self.names[index], vx=vx, vy=vy, omega=omega)
+        self._command(index, (vx, vy, omega))
 
     def set_velocities(
         self, vx: npt.ArrayLike, vy: npt.ArrayLike = 0.0, omega: npt.ArrayLike = 0.0
@@ -171,20 +182,16 @@ class World:
         Raises:
             SimError: if a speed is not finite, or an array does not have one number per turtle.
         """
-        speeds = np.empty((3, len(self._turtles)))
-        for row, what, values in zip(speeds, Command._fields, (vx, vy, omega), strict=True):
+        speeds = np.empty_like(self._speeds)
+        names = ("vx", "vy", "omega")
+        for row, what, values in zip(speeds, names, (vx, vy, omega), strict=True):
             given = np.asarray(values, dtype=np.float64)
             if given.shape not in ((), row.shape):
                 raise SimError(f"{what} has shape {given.shape}: give one number or {row.shape}")
             row[:] = given
-        if not np.isfinite(speeds).all():
-            index = int(np.isfinite(speeds).all(axis=0).argmin())
-            check_finite(self.names[index], **Command(*speeds[:, index].tolist())._asdict())
-        if not self.holonomic:
-            speeds[1] = 0.0
-        self._commands.clear()
-        self._fleet_command = speeds
-        self._is_asked = True
+        for index in np.flatnonzero(~np.isfinite(speeds).all(axis=0)).tolist():
+            check_finite(self.names[index], **dict(zip(names, speeds[:, index], strict=True)))
+        self._command(slice(None), speeds)
 
     def teleport_absolute(self, turtle: str | int, x: float, y: float, theta: float) -> None:
         """Put a turtle at a place in the next step.
@@ -201,10 +208,10 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
         """
-        index = self._names.index(turtle)
-        x, y, theta = to_float32(self.names[index], x=x, y=y, theta=theta)
+        name = self.names[self.index(turtle)]
+        x, y, theta = to_float32(name, x=x, y=y, theta=theta)
         place = Place(x, max(0.0, SIDE - y), theta)
-        self._teleport(index, lambda _: place)
+        self._teleports.append((name, lambda _: place))
 
     def teleport_relative(self, turtle: str | int, linear: float, angular: float) -> None:
         """In the next step, turn a turtle on the spot, and then move it along its new heading.
@@ -219,9 +226,9 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
         """
-        index = self._names.index(turtle)
-        linear, angular = to_float32(self.names[index], linear=linear, angular=angular)
-        self._teleport(index, lambda state: place_ahead(state, linear, angular))
+        name = self.names[self.index(turtle)]
+        linear, angular = to_float32(name, linear=linear, angular=angular)
+        self._teleports.append((name, lambda place: place_ahead(place, linear, angular)))
 
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
         """Put a new turtle into the world.
@@ -244,11 +251,16 @@ class World:
                 float32.
         """
         x, y, theta = to_float32(name or "a new turtle", x=x, y=y, theta=theta)
-        name = self._names.free_name(name)
-        # Commands and teleports are kept by index, and a new turtle moves the indices behind it.
-        # So they are taken up first, as the next step would.
-        self.take_up()
-        self._turtles.insert(self._names.add(name), place_at(x, y, theta))
+        if name in self._index:
+            raise SimError("a turtle has this name already: give another", turtle=name)
+        while not name or name in self._index:
+            self._count += 1
+            name = f"turtle{self._count}"
+        index = bisect(self.names, name)
+        self._call((*self.names, name))
+        self._places = np.insert(self._places, index, place_at(x, y, theta), axis=1)
+        self._speeds = np.insert(self._speeds, index, 0.0, axis=1)
+        self._expires = np.insert(self._expires, index, 0)
         return name
 
     def kill(self, turtle: str) -> None:
@@ -257,10 +269,12 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        index = self._names.index(turtle)
-        self.take_up()  # as in `spawn`: indices are about to change
-        self._names.remove(index)
-        self._turtles.remove(index)
+        index = self.index(turtle)
+        self._call(name for name in self.names if name != turtle)
+        self._places = np.delete(self._places, index, axis=1)
+        self._speeds = np.delete(self._speeds, index, axis=1)
+        self._expires = np.delete(self._expires, index)
+        self._teleports = [each for each in self._teleports if each[0] != turtle]
 
     def reset(self) -> None:
         """Replace all turtles by a single ``turtle1`` in the middle.
@@ -277,22 +291,26 @@ class World:
         self._begin(self._first)
 
     def take_up(self) -> None:
-        """Apply the pending commands and teleports now, instead of in the next step.
-
-        Commands and teleports that come after this call are applied in the next step.
-        """
-        if self._is_asked:
-            self._take_up()
+        """Make the teleports that were asked for now, instead of in the next step."""
+        for name, teleport in self._teleports:
+            index = self._index[name]
+            before = Place(*self._places[:, index].tolist())
+            after = teleport(before)
+            self._places[:, index] = after
+            if self.on_jump is not None:
+                self.on_jump(name, complex(before.x, before.depth), complex(after.x, after.depth))
+        self._teleports.clear()
 
     def step(self) -> list[Hit]:
         """Make one tick, and return the turtles that a wall stopped in this tick."""
-        if self._is_asked:
-            self._take_up()
-        before = self._turtles.places() if self._collide else None
-        hits = self._turtles.step(self._tick)
-        if before is not None:
-            self._keep_apart(before)
-        self._tick += 1
+        self.take_up()
+        before = self._places[:2].copy()
+        with np.errstate(over="ignore"):  # far beyond the walls a place may be infinite
+            hits = self._move()
+        if self._collide:
+            at = stopped(before[0] + 1j * before[1], self.places())
+            self._places[:2, at] = before[:, at]
+        self.tick += 1
         return hits
 
     def pose(self, turtle: str | int) -> Pose:
@@ -301,10 +319,7 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        # Rounded to float32 only here, so that roundings do not add up over the steps.
-        x, depth, theta, vx, vy, omega = self._turtles.state(self._names.index(turtle))
-        speed = math.sqrt(vx * vx + vy * vy)
-        return Pose(*array("f", (x, SIDE - depth, theta, speed, omega)))
+        return Pose(*self._rounded(self.index(turtle)).tolist())
 
     def heading(self, turtle: str | int) -> float:
         """Return the heading of a turtle (rad), not rounded to float32.
@@ -312,14 +327,16 @@ class World:
         Raises:
             SimError: if there is no such turtle.
         """
-        return self._turtles.state(self._names.index(turtle)).theta
+        return float(self._places[2, self.index(turtle)])
 
     def places(self) -> npt.NDArray[np.complex128]:
         """Return a copy of the places of all turtles, by index.
 
         A place is ``x + 1j * depth`` (m), where ``depth`` is the distance from the upper edge.
         """
-        return self._turtles.places()
+        x, depth, _ = self._places
+        places: _Complexes = x + 1j * depth
+        return places
 
     def poses(self) -> npt.NDArray[np.float32]:
         """Return the poses of all turtles after the last step.
@@ -328,79 +345,7 @@ class World:
             A new array of shape (N, 5): one row per turtle, in the order of the indices, with the
             columns of `Pose`.
         """
-        x, depth, theta, vx, vy, omega = self._turtles.columns()
-        poses = np.empty((len(self._turtles), 5), np.float32)
-        with np.errstate(over="ignore"):  # beyond float32 a speed is infinite
-            poses[:, 0] = x
-            poses[:, 1] = SIDE - depth
-            poses[:, 2] = theta
-            poses[:, 3] = np.sqrt(vx * vx + vy * vy)
-            poses[:, 4] = omega
-        return poses
-
-    def index(self, turtle: str | int) -> int:
-        """Return the index of a turtle. ``turtle`` is the turtle's name or its index.
-
-        Raises:
-            SimError: if there is no such turtle.
-        """
-        return self._names.index(turtle)
-
-    def _begin(self, turtles: dict[str, Place]) -> None:
-        self._fleet_command = None
-        self._commands.clear()
-        self._teleports.clear()
-        self._names = Names(turtles)
-        self._turtles = Fleet(list(turtles.values()))
-
-    def _keep_apart(self, before: npt.NDArray[np.complex128]) -> None:
-        for index in stopped(before, self._turtles.places()):
-            theta = self._turtles.state(index).theta
-            x, depth = before[index].real, before[index].imag
-            self._turtles.place(index, Place(float(x), float(depth), theta))
-
-    def _teleport(self, index: int, teleport: Callable[[State], Place]) -> None:
-        self._teleports.append((index, teleport))
-        self._is_asked = True
-
-    def _take_up(self) -> None:
-        self._is_asked = False
-        # A command to all replaces those to single turtles before it (`set_velocities` drops them),
-        # and single ones that come later replace their part of it.
-        if self._fleet_command is not None:
-            self._turtles.drive_all(self._fleet_command, self._tick)
-            self._fleet_command = None
-        if self._commands:
-            self._turtles.drive(self._commands, self._tick)
-            self._commands.clear()
-        # Teleports come last and in order, as turtlesim makes them after taking up commands: each
-        # starts from where the one before has put the turtle.
-        for index, teleport in self._teleports:
-            before = self._turtles.state(index)
-            after = teleport(before)
-            self._turtles.place(index, after)
-            if self.on_jump is not None:
-                here, there = complex(before.x, before.depth), complex(after.x, after.depth)
-                self.on_jump(self.names[index], here, there)
-        self._teleports.clear()
-
-
-class Names:
-    """The names of the turtles that exist.
-
-    Args:
-        names: The names of the turtles that exist at the start, in any order. If N names are
-            given, the first number that `free_name` uses is N + 1.
-
-    Attributes:
-        names: The names, sorted as strings. A turtle's index is its position in this order.
-    """
-
-    names: tuple[str, ...]
-
-    def __init__(self, names: Iterable[str]) -> None:
-        self._note(tuple(sorted(names)))
-        self._count = len(self.names)
+        return self._rounded(slice(None)).T
 
     def index(self, turtle: str | int) -> int:
         """Return the index of a turtle. ``turtle`` is the turtle's name or its index.
@@ -419,29 +364,89 @@ class Names:
             f"there is no turtle {turtle!r}: give a name ({known}) or an index to {last}"
         )
 
-    def free_name(self, name: str = "") -> str:
-        """Return the given name for a new turtle; if it is empty, return the next free name.
+    def _begin(self, turtles: dict[str, Place]) -> None:
+        self._call(turtles)
+        self._count = len(turtles)
+        self._places = np.array([turtles[name] for name in self.names]).T
+        self._speeds = np.zeros_like(self._places)
+        self._expires = np.zeros(len(turtles), np.int64)
+        self._teleports = []
 
-        Raises:
-            SimError: if a turtle already has the given name.
-        """
-        if name in self._index:
-            raise SimError("a turtle has this name already: give another", turtle=name)
-        while not name or name in self._index:
-            self._count += 1
-            name = f"turtle{self._count}"
-        return name
+    def _call(self, names: Iterable[str]) -> None:
+        self.names = tuple(sorted(names))
+        self._index = {name: index for index, name in enumerate(self.names)}
 
-    def add(self, name: str) -> int:
-        """Add a turtle with a free name; return its index. The indices of later turtles change."""
-        index = bisect(self.names, name)
-        self._note((*self.names[:index], name, *self.names[index:]))
-        return index
+    def _command(self, at: int | slice, speeds: npt.ArrayLike) -> None:
+        self._speeds[:, at] = speeds
+        if not self.holonomic:
+            self._speeds[1, at] = 0.0
+        self._expires[at] = self.tick + COMMAND_TICKS
 
-    def remove(self, index: int) -> None:
-        """Remove a turtle; the indices of later turtles change."""
-        self._note((*self.names[:index], *self.names[index + 1 :]))
+    def _move(self) -> list[Hit]:
+        self._speeds[:, self._expires <= self.tick] = 0.0
+        vx, vy, omega = self._speeds
+        theta = self._places[2] = _wrapped(self._places[2] + omega * DT)
+        # These are turtlesim's operations in its order; another order rounds differently.
+        cos, sin = np.cos(theta), np.sin(theta)
+        x = self._places[0] + (cos * vx - sin * vy) * DT
+        depth = self._places[1] - (sin * vx + cos * vy) * DT
+        self._places[:2] = np.clip((x, depth), 0.0, SIDE)
+        (at,) = ((self._places[0] != x) | (self._places[1] != depth)).nonzero()
+        return list(map(Hit, at.tolist(), x[at].tolist(), depth[at].tolist()))
 
-    def _note(self, names: tuple[str, ...]) -> None:
-        self.names = names
-        self._index = dict(zip(names, range(len(names)), strict=True))
+    def _rounded(self, at: int | slice) -> npt.NDArray[np.float32]:
+        # Rounded to float32 only here, so that roundings do not add up over the steps.
+        x, depth, theta = self._places[:, at]
+        vx, vy, omega = self._speeds[:, at]
+        with np.errstate(over="ignore"):  # beyond float32 a speed is infinite
+            speed = np.sqrt(vx * vx + vy * vy)
+            return np.array([x, SIDE - depth, theta, speed, omega]).astype(np.float32)
+
+
+def stopped(before: npt.ArrayLike, after: npt.ArrayLike, radius: float = BODY) -> list[int]:
+    """Find the turtles that must not move in a step, because they would collide.
+
+    Args:
+        before: The N places before the step, ``x + 1j * depth`` (m).
+        after: The N places that the turtles have after the step if none of them is stopped (m).
+        radius: The radius of each turtle (m), above zero.
+
+    Returns:
+        The indices of these turtles, in ascending order.
+    """
+    here, there = np.asarray(before), np.asarray(after)
+    moves = here != there
+    stay = np.zeros(len(here), np.bool_)
+    new = np.flatnonzero(moves)
+    while len(new):
+        one, other = _near(there, new, 2.0 * radius)
+        nearer = np.abs(there[one] - there[other]) < np.abs(here[one] - here[other])
+        met = np.concatenate([one[nearer], other[nearer]])
+        new = np.unique(met[moves[met] & ~stay[met]])
+        stay[new] = True
+        there = np.where(stay, here, there)
+    return np.flatnonzero(stay).tolist()
+
+
+def _wrapped(theta: _Floats) -> _Floats:
+    """Wrap angles as `turtleact.sim.kinematics.wrap` does."""
+    turn = 2.0 * HALF_TURN
+    wrapped = theta - turn * np.floor((theta + HALF_TURN) / turn)
+    return np.where((wrapped >= -HALF_TURN) & (wrapped < HALF_TURN), wrapped, -HALF_TURN)
+
+
+def _near(places: _Complexes, some: _Indices, distance: float) -> tuple[_Indices, _Indices]:
+    """Return all pairs (i, j) of turtles less than ``distance`` (m) apart, with i in ``some``."""
+    cells = np.floor(places.imag / distance).astype(np.int64) * _COLUMNS
+    cells += np.floor(places.real / distance).astype(np.int64)
+    order = np.argsort(cells, kind="stable")
+    sorted_cells = cells[order]
+    pairs = []
+    for around in _AROUND:
+        first = np.searchsorted(sorted_cells, cells[some] + around, "left")
+        count = np.searchsorted(sorted_cells, cells[some] + around, "right") - first
+        at = np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum())
+        pairs.append((np.repeat(some, count), order[at]))
+    one, other = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    is_near = (one != other) & (np.abs(places[one] - places[other]) < distance)
+    return one[is_near], other[is_near]
