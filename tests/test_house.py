@@ -38,8 +38,6 @@ VIOLATIONS = {
     "zenoh-in-memory": ("Doors", "transports.memory", "zenoh"),
 }
 
-# What `turtleact --help` must not wait for.
-HEAVY = ["numpy", "pydantic", "rich", "yaml", "turtleact.goals.server", "turtleact.sim"]
 
 # Put together here, so that this file passes its own test.
 MACHINE_PATHS = [f"/{folder}/" for folder in ("work", "root", "home")]
@@ -156,20 +154,6 @@ def test_no_function_is_over_60_lines():
         and body_length(node) > LONGEST_FUNCTION
     ]
     assert not long
-
-
-# --- start-up -------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def modules_of_the_command_line():
-    code = "import sys, turtleact.cli; print(*sys.modules)"
-    return set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
-
-
-@pytest.mark.parametrize("module", HEAVY)
-def test_the_command_line_starts_without(module, modules_of_the_command_line):
-    assert module not in modules_of_the_command_line
 
 
 # --- words ----------------------------------------------------------------------------------
@@ -350,12 +334,6 @@ def readme_with(command: str) -> str:
     return f"# t\n\n```sh\nfalse\n```\n\n<!-- test command -->\n```sh\n{command}\n```\n\nEnd.\n"
 
 
-def platform_release() -> str:
-    """What the system says of itself, each statement between line breaks."""
-    file = Path("/etc/os-release")
-    return f"\n{file.read_text('utf-8')}\n" if file.is_file() else ""
-
-
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 
 
@@ -376,23 +354,6 @@ def test_ci_runs_in_a_copy_of_the_checkout(checkout, run_ci):
     outcome = run_ci(folder)
     assert outcome.stdout.splitlines()[1:] == [".ci", "README.md"]
     assert not (folder / "left-behind").exists()
-
-
-@needs_git
-@pytest.mark.skipif(
-    "\nID=debian\n" not in platform_release(), reason="it installs a browser on Debian alone"
-)
-def test_ci_goes_on_where_no_browser_can_be_installed(checkout, commands, run_ci):
-    (commands / "chromium").unlink()
-    asked = commands / "asked"
-    (commands / "apt-get").write_text(f'#!/bin/sh\necho "$*" >>{asked}\ntest "$2" = update\n')
-    (commands / "apt-get").chmod(0o755)
-    (commands / "sudo").write_text('#!/bin/sh\nshift\nexec "$@"\n')
-    (commands / "sudo").chmod(0o755)
-    outcome = run_ci(checkout(readme_with("echo done")))
-    assert asked.read_text() == "-qq update\n-qqy install chromium\n"
-    assert (outcome.returncode, outcome.stdout) == (0, "$ echo done\ndone\n")
-    assert outcome.stderr == ".ci/run: no chromium could be installed\n"
 
 
 @needs_git

@@ -55,13 +55,6 @@ def test_the_navigation_has_only_pages_that_exist(build, made):
     assert set(build.leaves(build.expanded(CONFIG["nav"], [*pages]))) == pages
 
 
-def test_a_folder_in_the_navigation_stands_for_its_pages(build):
-    nav = [{"Examples": "examples/"}, "wire.md"]
-    pages = ["wire.md", "examples/01_a.md", "examples/index.md", "examples/02_b.md"]
-    inside = ["examples/index.md", "examples/01_a.md", "examples/02_b.md"]
-    assert build.expanded(nav, pages) == [{"Examples": inside}, "wire.md"]
-
-
 # --- links --------------------------------------------------------------------------------------
 
 
@@ -86,23 +79,6 @@ def test_a_link_of_the_repository_leads_to_a_page_of_the_site(build, source, lin
 def test_a_link_to_what_the_site_does_not_have_is_an_error(build, link):
     with pytest.raises(build.DeadLink, match=f"docs/cli.md: .* {link}"):
         build.relinked("docs/cli.md", f"[it]({link})")
-
-
-def test_code_that_looks_like_a_link_stays(build):
-    text = "```python\nhandlers[0](event)\n```"
-    assert build.relinked("docs/cli.md", text) == text
-
-
-def test_a_bar_in_code_in_a_table_is_shown_without_its_backslash(build):
-    assert build.relinked("docs/cli.md", r"| `\| head -1` |") == "| `| head -1` |"
-
-
-def test_the_tests_that_a_row_names_are_folded(build):
-    row = build.relinked(
-        "docs/conformance.md", "| a | b | `a/test_b.py::test_c`<br>`test_d.py::e` |"
-    )
-    assert row.startswith("| a | b | <details><summary>2 tests</summary>`a/test_b.py::test_c`<br>")
-    assert row.endswith("`test_d.py::e`</details> |")
 
 
 # --- pages from the source ----------------------------------------------------------------------
@@ -173,16 +149,6 @@ def test_a_drawing_is_part_of_the_page_so_that_its_colours_follow_the_page(build
     assert "\n\n" not in page
 
 
-def test_a_picture_stays_a_picture(build):
-    assert build.relinked("README.md", "![A patrol](docs/patrol.svg)") == "![A patrol](patrol.svg)"
-
-
-def test_the_site_has_the_colours_of_the_drawings_for_light_and_dark():
-    style = (ROOT / "docs" / "theme" / "site.css").read_text("utf-8")
-    colours = re.findall(r"--\w+: #\w+", DIAGRAMS["STYLE"])
-    assert re.findall(r"--\w+: #\w+", style) == colours
-
-
 # --- the tools ----------------------------------------------------------------------------------
 
 
@@ -200,13 +166,6 @@ def test_the_search_of_a_page_that_is_opened_as_a_file_needs_no_network(build, t
     build.finish(tmp_path)
     assert page.read_text() == '<script src="../../theme/search.js"></script>'
     assert (ROOT / "docs" / "theme" / "search.js").exists()
-
-
-def test_each_dot_of_a_drawing_in_a_terminal_is_marked(build, tmp_path):
-    (tmp_path / "a.html").write_text("<p>\u2801</p><code>x\u2801\u2802</code>", "utf-8")
-    build.finish(tmp_path)
-    marked = "<p>\u2801</p><code>x<i>\u2801</i><i>\u2802</i></code>"
-    assert (tmp_path / "a.html").read_text("utf-8") == marked
 
 
 def test_a_page_that_loads_another_script_from_the_internet_is_an_error(build, tmp_path):

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import asynccontextmanager, closing
+from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 
@@ -69,10 +69,6 @@ def test_a_backend_without_virtual_time_is_refused(backend):
 def test_a_patience_below_zero_is_refused(patience):
     with pytest.raises(SimError, match="patience must be 0 or more seconds, not"):
         virtual_backend(patience=patience)
-
-
-async def test_time_begins_at_zero():
-    assert anyio.current_time() == 0
 
 
 async def test_a_day_of_sleep_takes_no_time():
@@ -193,17 +189,6 @@ def test_time_stands_still_while_a_thread_works(backend, go):
     assert testing.run(main, backend=backend) == ["worked", "slept"]
 
 
-def test_closing_a_loop_waits_for_its_threads_without_a_leap():
-    """From Python 3.12 on it does so with a timeout."""
-    loop = virtual_backend()[1]["loop_factory"]()
-    with closing(loop):
-        loop.run_until_complete(loop.run_in_executor(None, int))
-        loop.run_until_complete(loop.shutdown_default_executor())
-        assert loop.time() == 0
-        loop.run_until_complete(asyncio.sleep(1))
-        assert loop.time() == 1
-
-
 @pytest.fixture
 def sockets():
     one, other = socket.socketpair()
@@ -312,11 +297,6 @@ def test_the_fixture_gives_every_async_test_virtual_time(tmp_path, conftest):
     ran = sorted(re.findall(r"\[.*\] PASSED", outcome.stdout))
     names = ["asyncio-1", "asyncio-2", "trio-1", "trio-2"]
     assert ran == [f"[{name}] PASSED" for name in names], outcome.stdout + outcome.stderr
-
-
-def test_neither_pytest_nor_trio_is_imported_unless_wanted():
-    code = "import sys, turtleact.testing; print({'pytest', 'trio'} & set(sys.modules))"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
 # --- run_goal -------------------------------------------------------------------------------
@@ -480,14 +460,6 @@ async def test_the_seed_decides_which_messages_are_struck():
     assert await struck(7, drop=0.3) != await struck(8, drop=0.3)
 
 
-async def test_one_more_subscription_changes_nothing_for_the_others():
-    async with line(seed=7, drop=0.3) as link:
-        other = link.node.subscription(Twist, "twist", QoS(depth=1000))
-        link.send(*range(200))
-        assert link.take() == await struck(7, drop=0.3)
-        assert [int(twist.linear.x) for twist in other.drain()] != await struck(7, drop=0.3)
-
-
 @pytest.mark.parametrize("delay", [0, 1])
 async def test_what_is_sent_or_on_its_way_while_the_link_is_cut_is_lost(delay):
     async with line(delay=delay) as link:
@@ -509,24 +481,6 @@ async def test_what_is_published_to_others_is_not_struck():
         ends = [node.subscription(Twist, "twist") for node in (ill, well)]
         ill.publisher(Twist, "twist").publish(Twist())
         assert [len(end.drain()) for end in ends] == [0, 1]
-
-
-async def test_a_late_subscription_gets_latched_messages_through_the_faults():
-    async with line(repeat=1) as link:
-        latched = QoS(depth=3, durability="transient_local")
-        publisher = link.node.publisher(Twist, "latched", latched)
-        publisher.publish(Twist())
-        late = link.node.subscription(Twist, "latched", latched)
-        assert len(late.drain()) == 2
-
-
-async def test_a_closed_subscription_gets_nothing_more():
-    async with line(delay=1) as link:
-        link.send(1)
-        await link.arrived.aclose()
-        await anyio.sleep(2)
-        assert link.take() == []
-        assert link.link.statistics() == testing.Faults()
 
 
 def count_tasks() -> int:

@@ -16,9 +16,7 @@ from turtleact.web import Bridge, open_bridge
 HEADERS = {"host": "localhost"}
 
 
-def websocket_scope(
-    path: str = "/", query: str = "", *, can_deny: bool = True, **headers: str
-) -> dict[str, Any]:
+def websocket_scope(path: str = "/", query: str = "", **headers: str) -> dict[str, Any]:
     named = HEADERS | {name.replace("_", "-"): value for name, value in headers.items()}
     return {
         "type": "websocket",
@@ -29,7 +27,7 @@ def websocket_scope(
         "query_string": query.encode(),
         "headers": [(name.encode(), value.encode()) for name, value in named.items()],
         "subprotocols": [],
-        "extensions": {"websocket.http.response": {}} if can_deny else {},
+        "extensions": {"websocket.http.response": {}},
     }
 
 
@@ -40,7 +38,6 @@ class Line:
         closed: The close frame, or the refusal, once there is one.
         gate: While it is not set, the client takes nothing.
         is_broken: Whether sending fails.
-        can_be_cut: Whether the server lets the app cut the line; set before it is run.
     """
 
     def __init__(self) -> None:
@@ -53,7 +50,6 @@ class Line:
         self.gate.set()
         self.aborted = False
         self.is_broken = False
-        self.can_be_cut = True
 
     async def receive(self) -> dict[str, Any]:
         return await self._inbox.receive()
@@ -72,8 +68,7 @@ class Line:
         self.aborted = True
 
     async def run(self, app: Any, scope: dict[str, Any]) -> None:
-        if self.can_be_cut:
-            scope["extensions"]["turtleact.abort"] = self.abort
+        scope["extensions"]["turtleact.abort"] = self.abort
         try:
             await app(scope, self.receive, self.send)
         finally:

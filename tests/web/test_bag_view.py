@@ -32,9 +32,6 @@ from .browser import CHROMIUM, open_tab, running_browser
 START = 1_800_000_000_000_000_000
 
 in_a_browser = pytest.mark.skipif(not CHROMIUM, reason="no Chromium is installed")
-on_asyncio = pytest.mark.parametrize(
-    "anyio_backend", [pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio")]
-)
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +191,6 @@ async def test_only_what_is_shown_is_read(tmp_path, monkeypatch):
 
 
 @in_a_browser
-@on_asyncio
 async def test_a_bag_is_scrubbed_and_played(url, tmp_path):
     with running_browser(tmp_path) as devtools:
         async with open_tab(devtools, url) as page:
@@ -220,7 +216,6 @@ async def test_a_bag_is_scrubbed_and_played(url, tmp_path):
 
 
 @in_a_browser
-@on_asyncio
 async def test_a_phone_shows_the_time_and_a_turtle_that_comes_later(late, tmp_path):
     async with open_bag_view(late) as shown:
         with running_browser(tmp_path / "browser") as devtools:

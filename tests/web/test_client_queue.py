@@ -5,11 +5,10 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.web.connection import MOST_DROPPABLE, ClientQueue
+from turtleact.web.connection import ClientQueue
 
 MOST = 1000
 
@@ -18,30 +17,12 @@ def taken(queue: ClientQueue) -> list[Any]:
     return list(iter(queue.take, None))
 
 
-def test_of_many_frames_of_topics_the_newest_stay():
-    queue = ClientQueue(100_000)
-    queue.keep("a result")
-    for number in range(MOST_DROPPABLE + 3):
-        queue.put("a", f"{number}")
-    assert queue.dropped == 3
-    assert taken(queue)[:2] == ["a result", "3"]
-
-
 def test_one_frame_waits_whatever_its_size():
     queue = ClientQueue(MOST)
     queue.put("a", "small")
     queue.put("b", "x" * (MOST + 1))
     assert [len(frame) for frame in taken(queue)] == [MOST + 1]
     assert not queue.is_overfull
-
-
-@pytest.mark.parametrize(("size", "is_overfull"), [(MOST // 2, False), (MOST, True)])
-def test_a_queue_of_what_must_arrive_is_overfull_beyond_its_limit(size, is_overfull):
-    queue = ClientQueue(MOST)
-    queue.put("a", "dropped first")
-    for _ in range(2):
-        queue.keep("x" * size)
-    assert (queue.is_overfull, queue.dropped) == (is_overfull, 1)
 
 
 @given(st.lists(st.sampled_from(["take", "forget", "keep", "a", "b"])))

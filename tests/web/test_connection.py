@@ -19,7 +19,7 @@ from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Tw
 from turtleact.web import Limits
 
 from ..lab import Count, Gate, Running, goal, running, settle
-from .line import Line, bridged, line, websocket_scope
+from .line import Line, bridged, line
 
 Log: Any = get_interface("rcl_interfaces/msg/Log")
 LATCHED = QoS(depth=2, durability="transient_local")
@@ -108,6 +108,7 @@ async def test_a_topic_comes_in_the_compression_that_is_asked_for(compression):
             assert base64.b64decode(frame["data"]).startswith(b"\x89PNG")
         else:
             frame = cbor2.loads(await client.hear_raw())
+            assert frame["msg"].keys() == {"secs", "nsecs", "bytes"}
             assert decode(Pixels, frame["msg"]["bytes"]).name == "é"
 
 
@@ -287,17 +288,6 @@ async def test_a_call_that_fails_says_why(members, problem):
         assert problem in answer["values"]
 
 
-async def test_a_handler_that_fails_is_told_of(caplog):
-    def fail(request: Add.Request) -> Add.Response:
-        raise ValueError("too much")
-
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.service(Add, "add", fail)
-        answer = await client.call("/add")
-        assert answer["result"] is False
-        assert "the handler failed: ValueError: too much" in answer["values"]
-
-
 def test_a_call_ends_after_the_time_that_the_client_gives_it():
     async def call():
         async def wait(request: Add.Request) -> Add.Response:
@@ -435,32 +425,6 @@ async def test_a_service_that_is_advertised_again_is_served_anew():
         assert call.value == Add.Response(sum=3)
 
 
-async def test_a_service_that_is_withdrawn_leaves_the_others_alone(caplog):
-    async with bridged() as (node, bridge), line(bridge) as client:
-        for name in ("/add", "/sub"):
-            client.say("advertise_service", type="lab_interfaces/AddInts", service=name)
-        assert await client.hears_nothing()
-        async with running(lambda: node.service_client(Add, "sub").call(Add.Request())) as call:
-            asked = await client.hear()
-            client.say("unadvertise_service", service="/add")
-            assert await client.hears_nothing()
-            client.say("service_response", id=asked["id"], values={"sum": 3}, result=True)
-        assert call.value == Add.Response(sum=3)
-
-
-async def test_a_canceled_call_is_forgotten():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
-        client.say("set_level", level="info")
-        assert await client.hears_nothing()
-        async with running(lambda: node.service_client(Add, "add").call(Add.Request())) as call:
-            asked = await client.hear()
-            call.scope.cancel()
-        client.say("service_response", id=asked["id"], service="/add", values={}, result=True)
-        answer = await client.hear()
-        assert answer["msg"] == f"no request has the id '{asked['id']}'"
-
-
 # mistakes
 
 MISTAKES = [
@@ -495,14 +459,6 @@ async def test_a_client_that_wants_to_know_is_told_its_mistake(said, problem):
         answer = await client.hear()
         assert (answer["op"], answer["id"]) == ("status", said.get("id", "m:1"))
         assert problem in answer["msg"]
-        assert await client.hears_nothing()
-
-
-@pytest.mark.parametrize(("said", "problem"), MISTAKES)
-async def test_a_client_that_does_not_is_told_nothing(said, problem):
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.publisher(Point, "here")
-        client.say_raw(json.dumps(said))
         assert await client.hears_nothing()
 
 
@@ -554,13 +510,6 @@ async def test_a_frame_that_makes_no_sense_is_told_of(said, problem):
         assert answer["op"] == "status"
         assert problem in answer["msg"]
         assert await client.hears_nothing()
-
-
-async def test_a_mistake_is_told_under_the_id_of_the_frame():
-    async with bridged() as (_, bridge), line(bridge) as client:
-        client.say("set_level", level="error")
-        client.say("nope", id="n:1")
-        assert (await client.hear())["id"] == "n:1"
 
 
 @pytest.mark.parametrize(
@@ -708,24 +657,6 @@ def test_a_client_that_takes_nothing_is_let_go(caplog):
         assert "a web client was disconnected: it read nothing for 2 s" in caplog.text
 
 
-def test_a_client_that_cannot_be_cut_off_is_given_up(caplog):
-    async def stall():
-        async with bridged() as (_, bridge):
-            client = Line()
-            client.can_be_cut = False
-            async with anyio.create_task_group() as group:
-                group.start_soon(client.run, bridge, websocket_scope())
-                assert await client.hears_nothing()
-                client.gate = anyio.Event()
-                client.say("call_service", service="/rosapi/topics")
-                await client.over.wait()
-            client.close()
-            return client.aborted, bridge.statistics().connections
-
-    for backend in ("asyncio", "trio"):
-        assert testing.run(stall, backend=backend) == (False, 0)
-
-
 def test_a_slow_client_that_reads_is_kept():
     async def read():
         async with bridged() as (node, bridge), line(bridge) as client:
@@ -739,18 +670,6 @@ def test_a_slow_client_that_reads_is_kept():
 
     for backend in ("asyncio", "trio"):
         assert testing.run(read, backend=backend) == (1.0, True)
-
-
-async def test_a_client_that_hangs_up_while_it_is_written_to_is_gone():
-    async with bridged() as (_, bridge):
-        async with line(bridge) as client:
-            assert await client.hears_nothing()
-            client.gate = anyio.Event()
-            client.say("call_service", service="/rosapi/topics")
-            await settle()
-            client.hang_up()
-            await client.over.wait()
-        assert bridge.statistics().connections == 0
 
 
 async def test_a_client_whose_line_breaks_is_gone():

@@ -6,14 +6,10 @@ import base64
 import json
 import struct
 import zlib
-from typing import Any
 
-import cbor2
 import pytest
 
-from turtleact.interfaces import decode
-from turtleact.interfaces.standard import Point
-from turtleact.web.message_conversion import Rendering, png
+from turtleact.web.message_conversion import png
 
 
 def read_png(picture: bytes) -> tuple[int, int, bytes]:
@@ -50,38 +46,3 @@ def test_a_picture_is_padded_with_line_breaks():
     width, height, pixels = read_png(base64.b64decode(json.loads(png('{"a":1}'))["data"]))
     assert pixels == b'{"a":1}\n\n'
     assert (width, height) == (1, 3)
-
-
-def test_it_is_published_inside_a_picture():
-    frame = json.loads(Rendering(Point(x=1.0), 0).frame("png", "/here"))
-    _, _, pixels = read_png(base64.b64decode(frame["data"]))
-    assert json.loads(pixels) == {
-        "op": "publish",
-        "topic": "/here",
-        "msg": {"x": 1.0, "y": 0.0, "z": 0.0},
-    }
-
-
-def test_it_is_published_as_cbor():
-    frame = Rendering(Point(x=1.0), 0).frame("cbor", "/here")
-    assert isinstance(frame, bytes)
-    assert cbor2.loads(frame) == {
-        "op": "publish",
-        "topic": "/here",
-        "msg": {"x": 1.0, "y": 0.0, "z": 0.0},
-    }
-
-
-def test_it_is_published_as_cdr_in_cbor():
-    raw: Any = Rendering(Point(x=1.0), 3_000_000_004).frame("cbor-raw", "/here")
-    frame = cbor2.loads(raw)
-    assert (frame["op"], frame["topic"]) == ("publish", "/here")
-    assert (frame["msg"]["secs"], frame["msg"]["nsecs"]) == (3, 4)
-    assert frame["msg"]["bytes"][:4] == b"\x00\x01\x00\x00"
-    assert decode(Point, frame["msg"]["bytes"]) == Point(x=1.0)
-
-
-def test_a_frame_is_made_once_for_all():
-    rendering = Rendering(Point(), 0)
-    assert rendering.frame("none", "/a") is rendering.frame("none", "/a")
-    assert rendering.frame("none", "a") != rendering.frame("none", "/a")

@@ -9,7 +9,6 @@ import anyio
 import pytest
 
 from turtleact import GoalAborted, GoalResponse, Reject, testing
-from turtleact.web.bridge import FAREWELL
 
 from ..lab import Count, Gate, Running, count, feedback, goal, result, running, settle
 from .line import Line, bridged, line
@@ -49,13 +48,6 @@ async def test_a_goal_is_told_of_by_feedback_and_one_result():
             },
         ]
         assert await client.hears_nothing()
-
-
-async def test_feedback_comes_only_if_it_is_asked_for():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", count)
-        send(client)
-        assert of(await client.hear()) == ("action_result", {"counted": [0, 1, 2]}, 4, True)
 
 
 @pytest.mark.parametrize(
@@ -259,31 +251,6 @@ async def test_a_client_whose_bridge_is_closed_is_told_that_it_will_not_hear_of_
         assert client.closed["code"] == 1001
 
 
-async def test_a_client_gets_the_result_of_a_goal_that_ends_as_its_bridge_closes():
-    gate = Gate()
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        send(client)
-        await gate.started.wait()
-        gate.opened.set()
-        await gate.ended.wait()  # the bridge has not read the result yet
-        began = anyio.current_time()
-        await bridge.aclose()
-        assert anyio.current_time() - began < FAREWELL
-        assert of(await client.hear()) == ("action_result", {"counted": [3]}, 4, True)
-
-
-async def test_a_goal_goes_on_when_its_bridge_is_closed():
-    gate = Gate()
-    async with bridged() as (node, bridge):
-        node.action_server(Count, "count", gate.wait)
-        async with line(bridge) as client:
-            send(client)
-            await gate.started.wait()
-            await bridge.aclose()
-        assert gate.log == ["begun"]
-
-
 def test_a_client_that_is_slow_loses_feedback_and_no_result():
     async def read():
         async def chatter(goal: Count.Goal):
@@ -373,17 +340,6 @@ async def test_a_goal_ends_as_its_client_says(answer, status, counted, reason):
             outcome = await handle.outcome()
         assert (outcome.status.name, outcome.result.counted) == (status, counted)
         assert outcome.reason.startswith(reason)
-
-
-async def test_the_first_answer_counts():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        await serve(client)
-        async with node.action_client(Count, "count").send_goal(goal()) as handle:
-            asked = await client.hear()
-            for number in (1, 2):
-                values = {"counted": [number]}
-                client.say("action_result", id=asked["id"], values=values, result=True)
-            assert (await handle.result()).counted == [1]
 
 
 @pytest.mark.parametrize(

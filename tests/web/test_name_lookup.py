@@ -10,7 +10,6 @@ from turtleact.web.name_lookup import (
     action_class,
     message_class,
     service_class,
-    type_name,
 )
 
 
@@ -39,10 +38,6 @@ def test_a_service_is_known_by_every_spelling_of_its_type(spelled):
 def test_a_type_that_an_action_implies_is_known():
     name = "example_interfaces/action/Fibonacci_SendGoal"
     assert service_class(name) is get_interface(name)
-
-
-def test_what_has_no_known_form_stays_as_it_is():
-    assert type_name("a/b/c/d", "msg") == "a/b/c/d"
 
 
 def test_a_type_of_another_kind_is_unknown():

@@ -27,9 +27,6 @@ SOURCES = {each.name: each.read_text("utf-8") for each in FOLDER.iterdir()}
 PALETTES = re.findall(r":root \{(.*?)\}", SOURCES["page.css"], re.DOTALL)
 
 in_a_browser = pytest.mark.skipif(not CHROMIUM, reason="no Chromium is installed")
-on_asyncio = pytest.mark.parametrize(
-    "anyio_backend", [pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio")]
-)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +56,6 @@ async def world_page(devtools: str) -> AsyncIterator[tuple[turtleact.Node, Tab]]
 
 
 @in_a_browser
-@on_asyncio
 async def test_the_page_drives_patrols_pauses_and_cancels(devtools):
     async with world_page(devtools) as (node, page):
         # what is on the graph can be asked for
@@ -153,7 +149,6 @@ BROKEN = """(() => {
 
 
 @in_a_browser
-@on_asyncio
 async def test_goals_and_trails_survive_a_reload_and_appear_in_another_browser(devtools):
     async with open_world(speed=20) as node, open_web(node, port=0) as web:
         async with connected(devtools, web.url) as page:
@@ -175,7 +170,6 @@ async def test_goals_and_trails_survive_a_reload_and_appear_in_another_browser(d
 
 
 @in_a_browser
-@on_asyncio
 async def test_the_page_connects_again_by_itself_and_says_so(devtools):
     gate = Gate()
     async with turtleact.open_node("lab") as node, AsyncExitStack() as stack:
@@ -207,7 +201,6 @@ LATER = """
 
 
 @in_a_browser
-@on_asyncio
 async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
     targets = Patrol.Goal(targets=[Point(x=9.0, y=9.0), Point(x=2.0, y=2.0)])
     pill = "document.querySelector('#active .pill')?.textContent"
@@ -236,7 +229,6 @@ async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
 
 
 @in_a_browser
-@on_asyncio
 async def test_a_paused_world_shows_its_turtles_and_those_that_are_spawned(devtools):
     async with open_world(turtles=2, paused=True) as node, open_web(node, port=0) as web:
         for count in (3, 4):
@@ -251,7 +243,6 @@ async def test_a_paused_world_shows_its_turtles_and_those_that_are_spawned(devto
 
 
 @in_a_browser
-@on_asyncio
 async def test_of_many_goals_the_first_are_open_and_each_names_its_turtle(devtools):
     async with (
         open_world(speed=0.1, turtles=5) as node,
@@ -277,7 +268,6 @@ async def test_of_many_goals_the_first_are_open_and_each_names_its_turtle(devtoo
 
 
 @in_a_browser
-@on_asyncio
 async def test_a_form_offers_the_turtles_and_begins_where_the_turtle_is(devtools):
     async with world_page(devtools) as (_, page):
         await page.until("$('turtle').options.length === 1 && $('fields').children.length")
@@ -293,7 +283,6 @@ async def test_a_form_offers_the_turtles_and_begins_where_the_turtle_is(devtools
 
 
 @in_a_browser
-@on_asyncio
 async def test_the_button_that_pauses_the_world_follows_at_once(devtools):
     async with world_page(devtools) as (_, page):
         await page.until("!$('pause').hidden && !$('pause').disabled")
@@ -304,7 +293,6 @@ async def test_the_button_that_pauses_the_world_follows_at_once(devtools):
 
 
 @in_a_browser
-@on_asyncio
 async def test_turtles_keep_their_colours_when_others_come(devtools):
     async with world_page(devtools) as (_, page):
         await page.click("#tab-turtles")
@@ -328,7 +316,6 @@ async def test_turtles_keep_their_colours_when_others_come(devtools):
 
 
 @in_a_browser
-@on_asyncio
 async def test_a_patrol_is_sent_with_the_keyboard_alone(devtools):
     async with world_page(devtools) as (_, page):
         await page.until("$('action').value === '/patrol' && $('fields').children.length")
@@ -378,7 +365,6 @@ string said
 
 
 @in_a_browser
-@on_asyncio
 async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
     load_message(INNER, type_name="lab_page/msg/Inner")
     deep: Any = load_action(DEEP, type_name="lab_page/action/Deep")
@@ -487,7 +473,6 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
 
 
 @in_a_browser
-@on_asyncio
 async def test_comments_say_how_the_page_writes_values(devtools):
     async with (
         turtleact.open_node("lab") as node,
@@ -508,7 +493,6 @@ async def test_comments_say_how_the_page_writes_values(devtools):
 
 
 @in_a_browser
-@on_asyncio
 async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
     async with (
         open_world(turtles=2) as node,

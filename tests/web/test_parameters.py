@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pytest
@@ -10,8 +9,6 @@ import pytest
 import turtleact
 from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
-from turtleact.interfaces.standard.rcl_interfaces.msg import ParameterValue
-from turtleact.interfaces.standard.rcl_interfaces.srv import GetParameters, SetParameters
 from turtleact.web.shared import BridgeState, Limits
 
 SetBool: Any = get_interface("std_srvs/srv/SetBool")
@@ -125,27 +122,3 @@ async def test_a_parameter_is_json(rosapi, lamp):
         await rosapi.call("/rosapi/set_param", ["/lab:red", '{"a": 1}'])
     with pytest.raises(InvalidMessage, match=r"args.value: expected true, false, a number, text"):
         await rosapi.call("/rosapi/set_param", ["/lab:red", '[1, "a"]'])
-
-
-# each kind of value: as JSON, what the node has declared, what it gets
-SET = [("7", 3, 3), ('"text"', 0, 4), ("[1, 2]", 5, 5)]
-
-
-@pytest.mark.parametrize(("text", "declared", "kind"), SET)
-async def test_a_value_is_of_the_kind_that_the_node_has_declared(
-    rosapi, node, text, declared, kind
-):
-    held = [ParameterValue(declared)]
-
-    def put(request: SetParameters.Request) -> SetParameters.Response:
-        held[0] = request.parameters[0].value
-        return SetParameters.Response()
-
-    node.service(GetParameters, "~/get_parameters", lambda _: GetParameters.Response([held[0]]))
-    node.service(SetParameters, "~/set_parameters", put)
-    values = await rosapi.call("/rosapi/set_param", ["/lab:it", text])
-    assert values == {"successful": False, "reason": "the node does not answer"}
-    assert held[0].type == kind
-    assert json.loads((await rosapi.call("/rosapi/get_param", ["/lab:it"]))["value"]) == json.loads(
-        text
-    )

@@ -13,7 +13,7 @@ from turtleact.interfaces import get_interface, standard, to_dict
 from turtleact.interfaces.standard import Point
 from turtleact.web import open_web
 
-from .test_roslibpy import ON_ONE, AddTwoInts, run_client
+from .test_roslibpy import AddTwoInts, run_client
 
 CLIENT = Path(__file__).with_name("player_client.mjs")
 LEFT_OUT = [
@@ -28,7 +28,6 @@ MESSAGES: dict[str, Any] = {
 }
 
 
-@ON_ONE
 async def test_foxglove_reads_every_message_that_ships(javascript, caplog):
     async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
         node.service(AddTwoInts, "add", lambda r: AddTwoInts.Response(sum=r.a + r.b))

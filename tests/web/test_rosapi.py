@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 import turtleact
-from turtleact.errors import InvalidMessage, ServerUnavailable, UnknownInterface
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import Point, Twist
 from turtleact.transports import MemoryTransport
@@ -117,46 +116,11 @@ async def test_topics_come_with_the_full_text_of_their_types(rosapi):
     assert values["typedefs_full_text"][1] == "float64 x\nfloat64 y\nfloat64 z"
 
 
-async def test_a_text_that_is_not_known_is_a_comment(rosapi, monkeypatch):
-    def unknown(name: str) -> None:
-        raise UnknownInterface(name)
-
-    monkeypatch.setattr("turtleact.web.rosapi.message_class", unknown)
-    values = await rosapi.call("/rosapi/topics_and_raw_types", {})
-    assert values["typedefs_full_text"][0] == "# unknown interface 'geometry_msgs/msg/Twist'"
-
-
 async def test_by_the_topics_with_their_texts_a_client_sees_that_it_is_ros_2(rosapi):
     values = await rosapi.call("/rosapi/topics_and_raw_types", {})
     assert (values["topics"][-1], values["types"][-1]) == ("/rosout", "rcl_interfaces/msg/Log")
     assert "\nstring msg" in values["typedefs_full_text"][-1]
     assert "/rosout" not in (await rosapi.call("/rosapi/topics", {}))["topics"]
-
-
-async def test_rosout_is_told_of_once():
-    log: Any = get_interface("rcl_interfaces/msg/Log")
-    async with turtleact.open_node("web") as web:
-        web.publisher(log, "/rosout")
-        shared = BridgeState(web, Limits(), cancel_on_disconnect=False)
-        values = await shared.rosapi.call("/rosapi/topics_and_raw_types", {})
-        await shared.aclose()
-    assert values is not None
-    assert values["topics"] == ["/rosout"]
-
-
-@pytest.mark.parametrize("service", ["/add", "rosapi", "/rosapi/", "/other/topics"])
-async def test_what_is_not_rosapis_is_left_to_the_graph(rosapi, service):
-    assert await rosapi.call(service, {}) is None
-
-
-async def test_what_rosapi_has_not_is_an_error(rosapi):
-    with pytest.raises(ServerUnavailable, match="did you mean 'topics'"):
-        await rosapi.call("/rosapi/topic", {})
-
-
-async def test_an_argument_that_is_no_text_is_an_error(rosapi):
-    with pytest.raises(InvalidMessage, match=r"args.topic: expected text, got a int"):
-        await rosapi.call("/rosapi/topic_type", {"topic": 3})
 
 
 async def test_arguments_may_be_left_out(rosapi):

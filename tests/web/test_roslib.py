@@ -15,7 +15,7 @@ from turtleact.web import open_web
 
 from ..commands.test_serve import PATIENCE, first_lines, serving
 from ..lab import Count, goal
-from .test_roslibpy import ON_ONE, AddTwoInts, decide, execute, play_services, run_client
+from .test_roslibpy import AddTwoInts, decide, execute, play_services, run_client
 
 CLIENT = Path(__file__).with_name("roslib_client.mjs")
 SERVER = Path(__file__).with_name("roslib_server.mjs")
@@ -71,7 +71,6 @@ SAID = {
 }
 
 
-@ON_ONE
 async def test_roslib_does_all_that_it_can(javascript, caplog):
     async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
         node.action_server(Count, "count", execute, goal_callback=decide)

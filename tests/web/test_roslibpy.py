@@ -25,9 +25,6 @@ from ..lab import Count, feedback, result
 
 CLIENT = Path(__file__).with_name("roslibpy_client.py")
 AddTwoInts: Any = get_interface("example_interfaces/srv/AddTwoInts")
-ON_ONE = pytest.mark.parametrize(
-    "anyio_backend", [pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio")]
-)
 
 
 def decide(goal: Count.Goal) -> GoalResponse:
@@ -99,7 +96,6 @@ SAID = {
 }
 
 
-@ON_ONE
 @pytest.mark.parametrize("transport", ["twisted", "asyncio"])
 async def test_roslibpy_does_all_that_it_can(transport, monkeypatch, caplog):
     monkeypatch.setenv("ROSLIBPY_TRANSPORT", transport)

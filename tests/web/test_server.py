@@ -7,7 +7,6 @@ import json
 import signal
 import socket
 
-import anyio
 import pytest
 import websockets
 from websockets.asyncio.client import connect
@@ -19,7 +18,9 @@ from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
 from turtleact.web.server import Web
 
-from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
+from ..lab import other_tasks
+
+pytestmark = pytest.mark.loops("asyncio", "uvloop")
 
 
 class Text(Message, type_name="lab_interfaces/msg/Text"):
@@ -35,7 +36,6 @@ async def ask(client: websockets.ClientConnection, service: str) -> object:
     return json.loads(await client.recv())["values"]
 
 
-@ON_ASYNCIO
 async def test_nothing_is_left_behind():
     before = other_tasks()
     async with turtleact.open_node("lab") as node:
@@ -46,7 +46,6 @@ async def test_nothing_is_left_behind():
             pass
 
 
-@ON_ASYNCIO
 async def test_a_busy_port_is_one_clear_error():
     with socket.create_server(("127.0.0.1", 0)) as busy:
         port = busy.getsockname()[1]
@@ -59,7 +58,6 @@ async def test_a_busy_port_is_one_clear_error():
                     pass
 
 
-@ON_ASYNCIO
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
@@ -85,20 +83,7 @@ async def test_what_cannot_be_bound_is_one_clear_error(options, problem):
                 pass
 
 
-@ON_ASYNCIO
-async def test_a_server_that_does_not_start_is_one_clear_error(monkeypatch, caplog):
-    async def fail(*_: object) -> None:
-        raise ValueError("no luck")
-
-    monkeypatch.setattr("uvicorn.Server.startup", fail)
-    async with turtleact.open_node("lab") as node:
-        with pytest.raises(TurtleactError, match="has not started: its log says why"):
-            async with open_web(node, port=0):
-                pass
-    assert "the web server has failed" in caplog.text
-
-
-@ON_TRIO
+@pytest.mark.loops("trio")
 async def test_on_trio_there_is_no_server():
     async with turtleact.open_node("lab") as node:
         with pytest.raises(TurtleactError, match="the web server only runs on asyncio"):
@@ -106,7 +91,6 @@ async def test_on_trio_there_is_no_server():
                 pass
 
 
-@ON_ASYNCIO
 async def test_other_machines_need_a_token():
     async with turtleact.open_node("lab") as node, open_web(node, "0.0.0.0", 0) as web:
         assert len(web.token) > 20
@@ -117,7 +101,6 @@ async def test_other_machines_need_a_token():
             assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
 
 
-@ON_ASYNCIO
 async def test_a_token_may_be_any_text():
     async with (
         turtleact.open_node("lab") as node,
@@ -127,7 +110,6 @@ async def test_a_token_may_be_any_text():
         assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
 
 
-@ON_ASYNCIO
 async def test_the_address_of_an_ipv6_host_is_in_brackets():
     if not socket.has_ipv6:
         pytest.skip("there is no IPv6 here")
@@ -140,7 +122,6 @@ async def test_the_address_of_an_ipv6_host_is_in_brackets():
             pytest.skip(f"there is no IPv6 here: {error}")
 
 
-@ON_ASYNCIO
 async def test_clients_get_a_close_frame_at_the_end():
     async with turtleact.open_node("lab") as node:
         async with open_web(node, port=0) as web:
@@ -153,33 +134,12 @@ async def test_clients_get_a_close_frame_at_the_end():
         await client.wait_closed()
 
 
-@ON_ASYNCIO
-async def test_a_canceled_server_is_closed_like_any_other():
-    async with turtleact.open_node("lab") as node:
-        begun, place = anyio.Event(), []
-
-        async def serve() -> None:
-            async with open_web(node, port=0) as web:
-                place.append((web.host, web.port))
-                begun.set()
-                await anyio.sleep_forever()
-
-        async with anyio.create_task_group() as group:
-            group.start_soon(serve)
-            await begun.wait()
-            group.cancel_scope.cancel()
-        with socket.create_server(place[0]):
-            pass
-
-
-@ON_ASYNCIO
 async def test_signals_are_left_to_the_program():
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     async with turtleact.open_node("lab") as node, open_web(node, port=0):
         assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
-@ON_ASYNCIO
 async def test_a_message_that_is_too_long_ends_its_connection():
     limits = Limits(message_size=1000)
     async with (
@@ -194,7 +154,6 @@ async def test_a_message_that_is_too_long_ends_its_connection():
         assert closed.value.rcvd.code == 1009
 
 
-@ON_ASYNCIO
 @pytest.mark.parametrize(
     "said",
     [
@@ -218,7 +177,6 @@ async def test_refused_connections_are_one_line_in_the_log(said, caplog):
     assert message.startswith("a web connection was refused (0 more before): the token")
 
 
-@ON_ASYNCIO
 async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, monkeypatch):
     monkeypatch.setattr("turtleact.web.connection.PATIENCE", 0.05)
     monkeypatch.setattr("turtleact.web.connection.SLOWEST", 2**30)

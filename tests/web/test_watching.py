@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 import pytest
 
 import turtleact
-from turtleact import Abort, GoalResponse, open_world
+from turtleact import GoalResponse, open_world
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import (
     UUID,
     Empty,
-    Fibonacci,
     GoalInfo,
     GoalStatusArray,
     GoalStatusMessage,
@@ -25,9 +22,8 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.sim.pictures import hue_of
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
-from turtleact.transports.base import STATUS_QOS, Endpoint, ServiceHandler
+from turtleact.transports.base import Endpoint, ServiceHandler
 from turtleact.web import open_bridge
-from turtleact.web.bridge import FAREWELL
 from turtleact.web.page_history import MOST_ACTIVE, MOST_ENDED
 from turtleact.web.watching import MOST_FOLLOWED
 
@@ -35,7 +31,6 @@ from ..lab import Count, Gate, count, goal, settle
 from .line import Line, bridged, line
 
 TYPE = "lab_interfaces/action/Count"
-GOAL_ID = bytes(range(16))
 Values = dict[str, Any]
 
 
@@ -156,19 +151,6 @@ async def test_a_goal_that_ended_before_the_first_page_is_shown_while_its_server
         assert ended["duration"] is None  # nobody saw its end
 
 
-async def test_a_goal_that_fails_tells_why():
-    async def fail(goal: Count.Goal) -> Count.Result:
-        raise Abort("the road is closed")
-
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", fail)
-        await watch(client)
-        async with node.action_client(Count, "count").send_goal(goal()) as handle:
-            await handle.outcome()
-        (ended,) = await goals(client)
-        assert (ended["status"], ended["reason"]) == ("ABORTED", "the road is closed")
-
-
 async def test_a_rejected_goal_of_a_web_client_is_kept_with_its_reason():
     async with bridged() as (node, bridge), line(bridge) as client:
         gate = Gate()
@@ -242,17 +224,6 @@ async def test_a_goal_of_another_process_is_watched(tmp_path):
         assert last["goals"][0]["request"] is None  # nobody here knows it
 
 
-async def test_a_goal_that_its_server_forgets_at_once_does_not_seem_to_run():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        server = node.action_server(Count, "count", count, result_timeout=0.0)
-        await watch(client)
-        async with node.action_client(Count, "count").send_goal(goal(1)) as handle:
-            assert handle.goal_id
-            await handle.outcome()
-        assert all(each["has_ended"] for each in await goals(client))
-        await server.aclose()
-
-
 async def test_goals_of_an_unknown_type_are_shown_until_their_server_is_gone():
     transport = MemoryTransport()
     async with (
@@ -274,47 +245,6 @@ async def test_goals_of_an_unknown_type_are_shown_until_their_server_is_gone():
         (ended,) = await goals(client)
         assert (ended["status"], ended["reason"]) == ("UNKNOWN", "its server has forgotten it")
         odd.close()
-
-
-@asynccontextmanager
-async def bridged_beside(
-    other_type: str, execute: Any
-) -> AsyncIterator[tuple[turtleact.Node, Line]]:
-    """A bridged node that serves /count, also with a type that has no real server."""
-    name = "/count/_action/send_goal"
-    strange = Endpoint("service", name, f"{other_type}_SendGoal", "/lab")
-    async with bridged() as (node, bridge), line(bridge) as client:
-        await node.action_server(Count, "count", execute).wait_until_serving()
-        other = node.transport.serve(strange, WireFormat(Empty.Request), ServiceHandler())
-        await watch(client)
-        yield node, client
-        other.close()
-
-
-@pytest.mark.parametrize("odd_type", ["aaa/action/Odd", "zzz/action/Odd"])
-async def test_a_goal_is_followed_if_another_type_of_its_action_is_unknown(odd_type):
-    gate = Gate()
-    async with bridged_beside(odd_type, gate.stream) as (node, client):
-        async with node.action_client(Count, "count").send_goal(goal(5)) as handle:
-            (running,) = await goals(client)
-            assert (running["type"], running["status"]) == (TYPE, "EXECUTING")
-            assert (running["request"], running["feedback"]) == ({"upto": 5}, {"so_far": [0]})
-            gate.opened.set()
-            await handle.outcome()
-        (ended,) = await goals(client)
-        assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"counted": [5]})
-
-
-async def test_a_goal_of_a_server_whose_clock_is_ahead_begins_now():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", count)
-        await watch(client)
-        statuses = node.publisher(GoalStatusArray, "/count/_action/status", STATUS_QOS)
-        info = GoalInfo(UUID(bytes(range(16))), Time(2**31 - 1, 0))
-        statuses.publish(GoalStatusArray([GoalStatusMessage(info, 2)]))
-        await settle()
-        news = await watch(client)
-        assert news["goals"][0]["accepted"] <= news["now"]
 
 
 async def test_more_goals_than_can_be_followed_are_still_shown():
@@ -351,26 +281,6 @@ async def test_a_page_gets_what_is_new_and_waits_for_it():
         assert (news["is_whole"], "graph" in news) == (False, False)
         assert [each["status"] for each in news["goals"]] == ["SUCCEEDED"]
         assert news["revision"] > first["revision"]
-
-
-async def test_a_page_hears_of_a_goal_that_ends_as_the_bridge_closes():
-    gate = Gate()
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        await watch(client)
-        async with node.action_client(Count, "count").send_goal(goal(5)):
-            await goals(client)
-            last = await watch(client)
-            known = {"session": last["session"], "since": last["revision"]}
-            client.say("call_service", service="/turtleact/web/watch", args=known)
-            await settle()
-            gate.opened.set()
-            await gate.ended.wait()  # the bridge has not read the result yet
-            began = anyio.current_time()
-            await bridge.aclose()
-            assert anyio.current_time() - began < FAREWELL
-            (ended,) = (await client.hear())["values"]["goals"]
-            assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"counted": [5]})
 
 
 async def test_a_page_that_has_missed_too_much_gets_everything_and_so_does_a_new_one():
@@ -454,38 +364,3 @@ async def test_a_page_learns_where_the_turtles_of_a_paused_world_are():
         while "turtle2" not in news["poses"]:
             news = await watch(client, session=news["session"], since=news["revision"])
         assert news["poses"]["turtle1"] == pytest.approx([5.544, 5.544, 0.0], abs=0.001)
-
-
-async def test_a_form_of_an_unknown_type_is_an_error():
-    async with bridged() as (_, bridge), line(bridge) as client:
-        args = {"action": "/x", "type": "nobody/Knows"}
-        answer = await client.call("/turtleact/web/form", args=args)
-        assert not answer["result"]
-        assert answer["values"] == "unknown interface 'nobody/action/Knows'"
-
-
-async def test_other_services_below_turtleact_are_those_of_the_graph():
-    async with bridged() as (_, bridge), line(bridge) as client:
-        answer = await client.call("/turtleact/web/nothing")
-        assert answer["values"] == "service '/turtleact/web/nothing': no server answers"
-
-
-async def test_a_page_that_opens_later_sees_the_goals_of_all_types_of_an_action():
-    gate = Gate()
-
-    async def wait(_goal: Fibonacci.Goal) -> Fibonacci.Result:
-        await gate.opened.wait()
-        return Fibonacci.Result()
-
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        node.action_server(Fibonacci, "count", wait)
-        first = node.action_client(Count, "count").send_goal(goal())
-        second = node.action_client(Fibonacci, "count").send_goal(Fibonacci.Goal())
-        async with first as one, second as other:
-            await watch(client)
-            found = {each["id"]: (each["type"], each["status"]) for each in await goals(client)}
-            assert found == {
-                one.goal_id.hex(): (TYPE, "EXECUTING"),
-                other.goal_id.hex(): (Fibonacci.type_name, "EXECUTING"),
-            }
