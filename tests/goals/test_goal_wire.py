@@ -8,11 +8,10 @@ from turtleact.goals.wire import (
     LARGEST,
     LONGEST_REASON,
     GoalMetadata,
-    pack_state,
     read_states,
     write_states,
 )
-from turtleact.interfaces import encode
+from turtleact.interfaces import SECOND, encode
 from turtleact.interfaces.standard import (
     UUID,
     GoalInfo,
@@ -38,8 +37,8 @@ def message(count: int) -> bytes:
 
 @pytest.mark.parametrize("count", range(5))
 def test_goals_are_written_as_cdr_writes_them(count):
-    packed = [pack_state(*item) for item in list(STATES.items())[:count]]
-    assert write_states(packed) == message(count)
+    told = [(id, seconds * SECOND + rest, state) for id, (seconds, rest, state) in STATES.items()]
+    assert write_states(told[:count]) == message(count)
 
 
 @pytest.mark.parametrize("behind", [b"", b"garbage"])

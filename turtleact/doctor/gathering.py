@@ -44,7 +44,7 @@ from turtleact.transports.base import Endpoint
 
 if TYPE_CHECKING:
     from turtleact.node import Node
-    from turtleact.transports.base import Caller, PendingCall, Transport
+    from turtleact.transports.base import Caller, Transport
 
 __all__ = ["take_snapshot"]
 
@@ -146,24 +146,20 @@ def _rank(service: Endpoint) -> int:
 async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer]) -> None:
     """Call a process twice: first to see whether it answers, then to read its clock."""
     caller, request = _join(node, service)
-    pending: PendingCall | None = None
-    sent = received = 0
+    sent = received = stamp = 0
     is_answered = False
     try:
         with anyio.move_on_after(PATIENCE):
             await caller.call(request)  # the first call takes longer, because it finds the way
             is_answered = True
             sent = time.time_ns()
-            pending = caller.ask(request)
-            if pending is not None:
-                await pending.reply()
-                received = time.time_ns()
+            stamp = (await caller.call(request)).stamp
+            received = time.time_ns()
     except TurtleactError:
         is_answered = True  # with an error, or it has just gone
     finally:
         caller.close()
-    stamp = None if pending is None or not received else pending.stamp
-    offset = None if stamp is None else (stamp - (sent + received) / 2) / 1e9
+    offset = None if not stamp else (stamp - (sent + received) / 2) / 1e9
     doubt = (received - sent) / 2e9
     answers.append(Answer(session, service.node, is_answered, offset, doubt))
 

@@ -2,14 +2,14 @@
 
 The handle reads a `Goal` object. If the server is in the same process, the handle reads the
 server's own object. Otherwise the client has a `Goal` object of its own, and messages from the
-server keep the object up to date (`turtleact.goals.remote_goals`).
+server keep the object up to date (`turtleact.goals.remote`).
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable
 from threading import get_ident
 from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, cast
 
@@ -212,9 +212,38 @@ class ClientGoalHandle(Generic[R, F]):
         self._start_iteration()
         return _Feedback(self)
 
-    def __anext__(self) -> Coroutine[object, object, F]:
+    async def __anext__(self) -> F:
         self._guard.check()
-        return _Reading(self).read()
+        return await self._read()
+
+    async def _read(self) -> F:
+        """Return the next feedback message.
+
+        If the goal has ended and no message is left, raise StopAsyncIteration.
+        """
+        # Messages in the log come first, even if the goal has ended. Checking the log and starting
+        # to wait happen in one step of the task, so no signal can fire in between and be lost.
+        goal = self._goal
+        log = goal.log
+        while True:
+            items = log.items
+            at = self._next - log.count + len(items)
+            if at < 0:
+                self._missed -= at
+                self._next -= at
+                at = 0
+            if at < len(items):
+                self._next += 1
+                if self._is_sender and log.read is not None:
+                    log.read = self._next
+                    if log.drained is not None:
+                        log.relieve()
+                return cast("F", items[at])
+            if goal.ended:
+                if goal.error is not None:
+                    raise goal.error
+                raise StopAsyncIteration
+            await goal.changed.wait()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
         """Iterate over the goal's events, from its acceptance to its result.
@@ -385,49 +414,7 @@ async def leave_goal(handle: ClientGoalHandle[R, F], timeout: float) -> Goal | N
     return None
 
 
-class _Reading:
-    """Reads the feedback of a goal.
-
-    Iterators use `read` itself as their ``__anext__``, to save a function call for each message.
-    """
-
-    __slots__ = ("_handle",)
-
-    def __init__(self, handle: ClientGoalHandle[Any, Any]) -> None:
-        self._handle = handle
-
-    async def read(self) -> Any:  # noqa: ANN401  # the action's own class
-        """Return the next feedback message.
-
-        If the goal has ended and no message is left, raise StopAsyncIteration.
-        """
-        # Messages in the log come first, even if the goal has ended. Checking the log and starting
-        # to wait happen in one step of the task, so no signal can fire in between and be lost.
-        handle = self._handle
-        goal = handle._goal
-        log = goal.log
-        while True:
-            items = log.items
-            at = handle._next - log.count + len(items)
-            if at < 0:
-                handle._missed -= at
-                handle._next -= at
-                at = 0
-            if at < len(items):
-                handle._next += 1
-                if handle._is_sender and log.read is not None:
-                    log.read = handle._next
-                    if log.drained is not None:
-                        log.relieve()
-                return items[at]
-            if goal.ended:
-                if goal.error is not None:
-                    raise goal.error
-                raise StopAsyncIteration
-            await goal.changed.wait()
-
-
-class _Iteration(_Reading):
+class _Iteration:
     """The iterator of one ``async for`` loop.
 
     The body of the goal may be waiting for this iterator to read feedback. That wait must end with
@@ -441,7 +428,7 @@ class _Iteration(_Reading):
     end.
     """
 
-    __slots__ = ("_thread",)
+    __slots__ = ("_handle", "_thread")
 
     def __init__(self, handle: ClientGoalHandle[Any, Any]) -> None:
         self._handle = handle
@@ -459,7 +446,8 @@ class _Feedback(_Iteration, Generic[F]):
     def __aiter__(self) -> Self:
         return self
 
-    __anext__ = _Iteration.read
+    async def __anext__(self) -> F:
+        return cast("F", await self._handle._read())
 
 
 class _Events(_Iteration, Generic[F, R]):
@@ -486,7 +474,7 @@ class _Events(_Iteration, Generic[F, R]):
             if status is not None:
                 return StatusChanged(status)
             if self._next_unread is not None:
-                return FeedbackReceived(await self.read())
+                return FeedbackReceived(await handle._read())
             if goal.error is not None:
                 raise goal.error
             if goal.ended:

@@ -32,7 +32,7 @@ from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.service_server import LocalServiceServer, service_events
 from turtleact.goals.state import CancelCode, Goal, GoalRequest, GoalStatus
-from turtleact.goals.wire import GoalMetadata, GoalReason, pack_state, reason_topic, write_states
+from turtleact.goals.wire import GoalMetadata, GoalReason, reason_topic, write_states
 from turtleact.interfaces import (
     SECOND,
     Action,
@@ -284,7 +284,6 @@ class StatusTopic(Source, GoalObserver):
 
     def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
         self._server = server
-        self._is_stale = False  # whether anything has changed since the last write
         self._clock = transport.clock
         self._expiring: Background | None = None
         self._publication: Publication | None = None  # `readers_changed` may be called in here:
@@ -300,16 +299,11 @@ class StatusTopic(Source, GoalObserver):
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
         """Build the status message as bytes."""
-        self._is_stale = False
-        packed = [
-            pack_state(goal.id, (*divmod(goal.stamp, SECOND), goal.status))
-            for goal in self._server.held().values()
-        ]
-        return (write_states(packed),)
+        held = self._server.held().values()
+        return (write_states([(goal.id, goal.stamp, goal.status) for goal in held]),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Start to observe goals if the topic has readers; otherwise stop observing."""
-        self._is_stale = False
         self._stop_observing()
         if has_readers:
             self._server.observers.add(self)
@@ -341,10 +335,8 @@ class StatusTopic(Source, GoalObserver):
         self._refresh()
 
     def _refresh(self) -> None:
-        publication = self._publication
-        if publication is not None and (not self._is_stale or publication.has_local_readers):
-            self._is_stale = True
-            publication.refresh()
+        if self._publication is not None:
+            self._publication.refresh()
 
     def close(self) -> None:
         """Close the topic."""

@@ -25,13 +25,13 @@ Source: action_msgs/msg/GoalStatusArray; OMG DDS-XTypes 1.3, 7.4.3 (plain CDR).
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection
+from collections.abc import Iterable
 from typing import Final, TypeAlias
 
 import msgspec
 
 from turtleact.errors import encodable
-from turtleact.interfaces import Message, Service, bool_, float64, int8, string
+from turtleact.interfaces import SECOND, Message, Service, bool_, float64, int8, string
 from turtleact.interfaces.standard import UUID
 
 __all__ = [
@@ -40,7 +40,6 @@ __all__ = [
     "PausedGoals",
     "SetPaused",
     "State",
-    "pack_state",
     "paused_topic",
     "read_states",
     "reason_topic",
@@ -125,21 +124,18 @@ FIRST: Final = struct.Struct("<16siIb")
 """The layout of the first goal in a status message: id, stamp and state, without padding."""
 
 
-def pack_state(goal_id: bytes, state: State) -> bytes:
-    """Encode the stamp and state of one goal for `write_states`."""
-    return ENTRY.pack(goal_id, *state)
+def write_states(goals: Iterable[tuple[bytes, int, int]]) -> bytes:
+    """Return a status message with the id, the stamp (ns since the epoch) and the state of goals.
 
-
-def write_states(packed: Collection[bytes]) -> bytes:
-    """Join the encoded states of goals into a status message.
-
-    >>> write_states([pack_state(bytes(16), (1, 2, 4))]).hex(" ", -4)
+    >>> write_states([(bytes(16), 1_000_000_002, 4)]).hex(" ", -4)
     '00010000 01000000 00000000 00000000 00000000 00000000 01000000 02000000 04'
     """
-    parts = [HEAD.pack(LITTLE + b"\0\0", len(packed)), *packed]
+    pack = ENTRY.pack
+    packed = [pack(goal_id, *divmod(stamp, SECOND), state) for goal_id, stamp, state in goals]
+    head = HEAD.pack(LITTLE + b"\0\0", len(packed))
     if packed:
-        parts[1] = FIRST.pack(*ENTRY.unpack(parts[1]))
-    return b"".join(parts)
+        packed[0] = FIRST.pack(*ENTRY.unpack(packed[0]))
+    return head + b"".join(packed)
 
 
 def read_states(data: bytes) -> dict[bytes, State] | None:
@@ -147,7 +143,7 @@ def read_states(data: bytes) -> dict[bytes, State] | None:
 
     The result is None if the message is truncated or big-endian.
 
-    >>> read_states(write_states([pack_state(bytes(16), (1, 2, 4))]))[bytes(16)]
+    >>> read_states(write_states([(bytes(16), 1_000_000_002, 4)]))[bytes(16)]
     (1, 2, 4)
     """
     if data[:2] != LITTLE or len(data) < HEAD.size:

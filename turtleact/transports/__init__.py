@@ -8,7 +8,7 @@ from turtleact.transports.base import QoS, Transport
 
 if TYPE_CHECKING:
     from turtleact.transports.memory import MemoryTransport
-    from turtleact.transports.rmw_zenoh import ZenohTransport, open_zenoh
+    from turtleact.transports.rmw_zenoh.transport import ZenohTransport, open_zenoh
 
 __all__ = ["MemoryTransport", "QoS", "Transport", "ZenohTransport", "open_zenoh"]
 
@@ -20,7 +20,7 @@ def __getattr__(name: str) -> object:
 
         return MemoryTransport
     if name in ("ZenohTransport", "open_zenoh"):
-        from turtleact.transports import rmw_zenoh
+        from turtleact.transports.rmw_zenoh import transport
 
-        return getattr(rmw_zenoh, name)
+        return getattr(transport, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

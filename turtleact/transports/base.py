@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
-from turtleact.errors import InvalidMessage, TurtleactError
+from turtleact.errors import InvalidMessage
 
 if TYPE_CHECKING:
     from turtleact.tasks import LoopGuard
@@ -42,18 +42,17 @@ __all__ = [
     "CallObserver",
     "Caller",
     "Closeable",
+    "Closing",
     "Deliver",
     "Endpoint",
     "EndpointKind",
     "Format",
     "MakeEndpoint",
     "Owner",
-    "PendingCall",
     "Publication",
     "QoS",
     "RawFormat",
     "Reply",
-    "Respond",
     "ServerKind",
     "ServiceHandler",
     "Serving",
@@ -222,6 +221,21 @@ class Closeable(Protocol):
         """Close this object. Closing it again does nothing."""
 
 
+class Closing:
+    """A `Closeable` that calls a function.
+
+    Args:
+        close: The function. Calling it again must do nothing.
+    """
+
+    def __init__(self, close: Callable[[], object]) -> None:
+        self._close = close
+
+    def close(self) -> None:
+        """Call the function."""
+        self._close()
+
+
 class AsyncCloseable(Protocol):
     """An object whose ``aclose`` must be awaited, because closing may take a while."""
 
@@ -272,20 +286,12 @@ class Publication(Closeable, Protocol):
         """Whether a message published now has a reader, or may get one later (latched topics)."""
 
     @property
-    def has_local_readers(self) -> bool:
-        """Whether a message published now has a reader in this process, or may get one later."""
-
-    @property
     def has_object_readers(self) -> bool:
         """Whether a subscription in this process needs, or may later need, message objects."""
 
     @property
     def is_congested(self) -> bool:
         """Whether you should await `drained`, because too many bytes are waiting to be sent."""
-
-    @property
-    def dropped(self) -> int:
-        """How many messages were dropped before they were sent, because too many were waiting."""
 
     def publish(self, message: object) -> None:
         """Send a message to every subscription. Do not change the message afterwards."""
@@ -334,10 +340,13 @@ class Reply(msgspec.Struct, frozen=True):
     Attributes:
         message: The response.
         note: A short text sent with the response. Only turtleact reads it.
+        stamp: When the response was sent, by its sender's clock (ns since the epoch); 0 if the
+            server is in this process.
     """
 
     message: object
     note: str = ""
+    stamp: int = 0
 
 
 REQUEST_NOTE: ContextVar[str] = ContextVar("REQUEST_NOTE", default="")
@@ -363,33 +372,11 @@ EVERY_SERVER = Target()
 """Sends each request to every server of the service, as ROS 2's clients do."""
 
 
-class PendingCall(Protocol):
-    """A request that is under way. Its sender must end it with `take`, `reply` or `drop`."""
-
-    @property
-    def is_over(self) -> bool:
-        """Whether a reply has arrived, or none will ever arrive."""
-
-    @property
-    def stamp(self) -> int | None:
-        """When the reply was sent (ns since the epoch, by its sender's clock); None if unknown."""
-
-    def take(self) -> Reply:
-        """Return the reply of a call that is over. Raises the same errors as `Caller.call`."""
-
-    async def reply(self) -> Reply:
-        """Wait for the reply and return it. Raises the same errors as `Caller.call`."""
-
-    def drop(self) -> None:
-        """Stop waiting for the reply. After `take` or `reply`, this does nothing."""
-
-
 class CallObserver(Protocol):
     """Watches the calls of one service, either at a client or at the server.
 
     A call is identified by the gid of its client and by its sequence number. The methods must not
-    raise. They are called in the event loop, unless the client or the server handles calls in other
-    threads. The observer gets a request or response as bytes if it travels between processes, and
+    raise. The observer gets a request or response as bytes if it travels between processes, and
     otherwise as an object. To observe a server, set the attribute ``observer`` of its
     `ServiceHandler`.
     """
@@ -443,34 +430,8 @@ class Caller(Closeable, Protocol):
             TurtleactError: if this client is closed.
         """
 
-    def ask(
-        self,
-        request: object,
-        on_end: Callable[[PendingCall], object] | None = None,
-        note: str = "",
-    ) -> PendingCall | None:
-        """Send a request to a server in another process, without waiting for anything.
-
-        If no server in another process can be reached now, or if this process has a server itself,
-        return None without sending the request.
-
-        Args:
-            request: The request.
-            note: A short text to send with the request, as for `call`.
-            on_end: Called once, with the `PendingCall`, when the call is over. The thread that
-                receives the reply or the event loop calls this function. If you pass ``on_end``,
-                you may call `ask` in any thread, but not in two threads at the same time.
-
-        Raises:
-            InvalidMessage: if the request does not fit its type. Nothing was sent.
-        """
-
     def why_not_served(self, suffix: str = "") -> str:
         """Explain, with type names cut before ``suffix``, why a call would reach no server."""
-
-
-Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
-"""A function that takes the answer to a request."""
 
 
 class ServiceHandler:
@@ -479,30 +440,13 @@ class ServiceHandler:
     Attributes:
         observer: Watches the calls; None (the default) if nobody watches them. Set it before you
             pass the handler to `Transport.serve`.
-        is_threaded: Whether `reply_nowait` is called in the thread that receives a request from
-            another process. This is faster than passing the request to the event loop. The method
-            must then be quick, must always return True, and may call ``respond`` in any thread.
     """
 
     observer: CallObserver | None = None
-    is_threaded: bool = False
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a request. ``caller`` is the gid of the client."""
         raise NotImplementedError
-
-    def reply_nowait(
-        self,
-        request: object,  # noqa: ARG002  # a subclass uses all three
-        caller: bytes,  # noqa: ARG002
-        respond: Respond,  # noqa: ARG002
-    ) -> bool:
-        """Answer a request by calling ``respond`` once, now or later, with a reply or an error.
-
-        Return True if ``respond`` has been or will be called. Return False if the request must be
-        answered in a task. Before returning False, the handler must not change anything.
-        """
-        return False
 
     def caller_lost(self, caller: bytes) -> None:
         """Called when the client with this gid was closed or has died."""
@@ -555,9 +499,8 @@ class Transport(Protocol):
     def serve(self, endpoint: Endpoint, format: Format, handler: ServiceHandler) -> Closeable:
         """Offer ``handler`` as the server of a service, and show the server on the graph.
 
-        Each request from another process is handled in its own task, unless the handler answers
-        it without a task. Closing the service lets these tasks finish. Closing the transport
-        cancels the tasks of all requests.
+        Each request from another process is handled in its own task. Closing the service lets
+        these tasks finish. Closing the transport cancels the tasks of all requests.
 
         If a node offers several handlers of a service, other processes see only one server, so that
         no client gets two replies. The oldest handler answers. `all_local` returns every handler.

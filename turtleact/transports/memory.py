@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
+import msgspec
+
 from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError, summary
 from turtleact.tasks import Signal, current_tasks
 from turtleact.tasks.clock import Clock, WallClock
@@ -21,10 +23,10 @@ from turtleact.transports.base import (
     Caller,
     CallObserver,
     Closeable,
+    Closing,
     Deliver,
     Endpoint,
     Format,
-    PendingCall,
     Publication,
     QoS,
     RawFormat,
@@ -128,7 +130,7 @@ class MemoryTransport:
             self.tell_change()
         else:
             self._servers[server] = self._appear_as(endpoint, _nothing)
-        return _Opened(partial(self._revoke, key, offer))
+        return Closing(partial(self._revoke, key, offer))
 
     def join(
         self,
@@ -165,7 +167,7 @@ class MemoryTransport:
         number = self._number()
         self._nodes[number] = node
         self.tell_change()
-        return _Opened(partial(self._depart, number))
+        return Closing(partial(self._depart, number))
 
     def call_when_sought(
         self,
@@ -173,7 +175,7 @@ class MemoryTransport:
         act: Callable[[], object],  # noqa: ARG002  # there are no other processes
     ) -> Closeable:
         """Never call ``act``, because all endpoints are in this process."""
-        return _Opened(_nothing)
+        return Closing(_nothing)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints on the graph, or only those of the topic or service ``name``.
@@ -322,16 +324,8 @@ class _Publication:
         )
 
     @property
-    def has_local_readers(self) -> bool:
-        return self.has_readers
-
-    @property
     def is_congested(self) -> bool:
         return False
-
-    @property
-    def dropped(self) -> int:
-        return 0
 
     def latched(self) -> Sequence[object]:
         if self.source is None or not self._is_latched:
@@ -454,14 +448,6 @@ class _Caller:
             each.responded(reply.message, self.gid, sequence)
         return reply
 
-    def ask(
-        self,
-        _request: object,
-        on_end: Callable[[PendingCall], object] | None = None,
-        note: str = "",
-    ) -> None:
-        """Return None, because there are no servers in other processes."""
-
     async def wait_for_route(self) -> None:
         """Do nothing, because every server is in this process and can be reached."""
 
@@ -486,21 +472,11 @@ class _Caller:
         return self._transport.local(self.endpoint.name, self.endpoint.type_name)
 
 
-class _Offer:
+class _Offer(msgspec.Struct, eq=False):
     """A handler that a node offers. Two offers of the same handler are not equal."""
 
-    __slots__ = ("handler", "node")
-
-    def __init__(self, handler: ServiceHandler, node: str) -> None:
-        self.handler = handler
-        self.node = node
-
-
-class _Opened:
-    """A node or handler on the graph. ``close`` removes it."""
-
-    def __init__(self, on_close: Leave) -> None:
-        self.close = on_close
+    handler: ServiceHandler
+    node: str
 
 
 def _nothing() -> None:

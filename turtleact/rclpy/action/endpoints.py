@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from turtleact.goals.state import Goal
-from turtleact.goals.wire import pack_state, write_states
+from turtleact.goals.wire import write_states
 from turtleact.interfaces.cdr import HEADER, UNFIT, encoder
 from turtleact.names import action_names
 from turtleact.rclpy.impl.connection import CallEnd, Close, RequestHandler, Sender
@@ -173,11 +173,7 @@ class StatusTopic(Source):
 
     def current(self) -> Sequence[object]:
         """Return the encoded message with the goals' states."""
-        packed = [
-            pack_state(goal.id, (*divmod(goal.stamp, 1_000_000_000), goal.status))
-            for goal in self._held()
-        ]
-        return (write_states(packed),)
+        return (write_states([(goal.id, goal.stamp, goal.status) for goal in self._held()]),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
         """Return the message with the goals' states, encoded for readers in other processes."""

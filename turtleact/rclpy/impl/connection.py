@@ -36,7 +36,6 @@ from turtleact.transports.base import (
     Closeable,
     Endpoint,
     EndpointKind,
-    PendingCall,
     Publication,
     Reply,
     ServiceHandler,
@@ -233,10 +232,8 @@ class RequestHandler(ServiceHandler):
         take: The function that handles requests.
         observer: The observer of the requests and responses; None if there is none.
         has_remote_callers: Whether another process has sent a request.
-        is_threaded: Always True: transports may call the handler outside the event loop.
     """
 
-    is_threaded = True
     observer: CallEvents | None
 
     def __init__(
@@ -246,25 +243,12 @@ class RequestHandler(ServiceHandler):
         self.observer = observer
         self.has_remote_callers = False
 
-    def reply_nowait(
-        self,
-        request: object,
-        caller: bytes,  # noqa: ARG002  # a request outlives its client
-        respond: Respond,
-    ) -> bool:
-        """Pass a request from another process to the function ``take``. Always return True."""
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
+        """Pass a request to the function ``take``, and wait for the answer."""
         self.has_remote_callers = True
-        self.take(cast("bytes", request), respond)
-        return True
-
-    async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request in the event loop.
-
-        Transports call `reply_nowait` instead if they can.
-        """
         answered: Future[Reply | TurtleactError] = Future()
         answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
-        self.reply_nowait(request, caller, answered.set_result)
+        self.take(cast("bytes", request), answered.set_result)
         reply = await asyncio.wrap_future(answered)
         if isinstance(reply, TurtleactError):
             raise reply
@@ -447,7 +431,6 @@ class CallEnd:
         self._caller.observer = self.events = events
         self._gid = os.urandom(16)  # identifies it in the events of calls inside the process
         self._sequence = count(1)
-        self._lock = threading.Lock()
         self._found: RequestHandler | None = None
         self._seen = -1
 
@@ -468,22 +451,13 @@ class CallEnd:
             handler.take(request, self._watched(handler, request, respond))
             return
 
-        def ended(call: PendingCall) -> None:
-            try:
-                respond(call.take())
-            except TurtleactError as error:
-                respond(error)
-
         async def call() -> None:
             try:
                 respond(await self._caller.call(request))
             except TurtleactError as error:
                 respond(error)
 
-        with self._lock:
-            is_sent = self._caller.ask(request, ended) is not None
-        if not is_sent:  # a server that was seen may not be reachable yet
-            self._connection.loop.start(call)
+        self._connection.loop.start(call)
 
     def close(self) -> None:
         """Publish no more events, and leave the graph when all pending calls have ended.

@@ -12,6 +12,7 @@ import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -20,7 +21,7 @@ import anyio.to_thread
 import msgspec
 
 from turtleact.tasks import GRACE, Background, Tasks
-from turtleact.transports.base import Closeable, Endpoint
+from turtleact.transports.base import Closeable, Closing, Endpoint
 from turtleact.transports.memory import MemoryTransport
 
 if TYPE_CHECKING:
@@ -109,12 +110,7 @@ class Demand:
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
-        self._waiting: dict[str, dict[_Waiting, None]] = {}
-
-    @property
-    def is_quiet(self) -> bool:
-        """Whether other processes have no endpoints, and nothing waits for one."""
-        return not self._counts and not self._waiting
+        self._waiting: dict[str, list[Job]] = {}
 
     def has(self, name: str) -> bool:
         """Whether another process has an endpoint with this name."""
@@ -123,8 +119,8 @@ class Demand:
     def add(self, name: str) -> None:
         """Record that another process has an endpoint with this name, and call what waits."""
         self._counts[name] += 1
-        for waiting in self._waiting.pop(name, ()):
-            waiting.act()
+        for act in self._waiting.pop(name, ()):
+            act()
 
     def remove(self, name: str) -> None:
         """Record that an endpoint with this name in another process is gone."""
@@ -132,36 +128,20 @@ class Demand:
         if not self._counts[name]:
             del self._counts[name]
 
-    def call_when_sought(self, name: str, act: Callable[[], object]) -> Closeable:
+    def call_when_sought(self, name: str, act: Job) -> Closeable:
         """Call ``act`` once; see `turtleact.transports.base.Transport`."""
-        waiting = _Waiting(self, name, act)
         if self.has(name):
             act()
         else:
-            self._waiting.setdefault(name, {})[waiting] = None
-        return waiting
+            self._waiting.setdefault(name, []).append(act)
+        return Closing(partial(self._forget, name, act))
 
-    def forget(self, waiting: _Waiting) -> None:
-        """Do not call what waits. If it was called already, do nothing."""
-        others = self._waiting.get(waiting.name, {})
-        others.pop(waiting, None)
-        if not others:
-            self._waiting.pop(waiting.name, None)
-
-
-class _Waiting:
-    """A function to call when another process has an endpoint with a certain name."""
-
-    __slots__ = ("_demand", "act", "name")
-
-    def __init__(self, demand: Demand, name: str, act: Callable[[], object]) -> None:
-        self.name = name
-        self.act = act
-        self._demand = demand
-
-    def close(self) -> None:
-        """Prevent the call."""
-        self._demand.forget(self)
+    def _forget(self, name: str, act: Job) -> None:
+        waiting = self._waiting.get(name, [])
+        if act in waiting:
+            waiting.remove(act)
+            if not waiting:
+                del self._waiting[name]
 
 
 class Crew:

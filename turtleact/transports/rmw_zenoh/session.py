@@ -186,37 +186,31 @@ class Session:
         at most.
         """
         found = {str(zid): "" for zid in self._session.info.routers_zid()}
-        ended = threading.Event()
-
-        def take(reply: zenoh.Reply) -> None:
-            sample = reply.ok
-            if sample is not None:
-                zid = str(sample.key_expr).split("/")[1]
-                if zid in found:
-                    found[zid] = sample.payload.to_bytes().decode(errors="replace")
-
-        with _mapped("ask the routers"):
-            self._session.get(
-                "@/*/router", Callback(take, ended.set, indirect=False), timeout=ADMIN
-            )
-        ended.wait()
+        for key, said in self._answers(self._session.get, "@/*/router", ADMIN):
+            zid = key.split("/")[1]
+            if zid in found:
+                found[zid] = said.decode(errors="replace")
         return found
 
     def _ask(self, key: str) -> list[str]:
+        return [token for token, _ in self._answers(self._session.liveliness().get, key, ANSWER)]
+
+    def _answers(
+        self, get: Callable[..., object], key: str, timeout: float
+    ) -> list[tuple[str, bytes]]:
+        """Return the key and the payload of each answer to a question."""
         # Zenoh delivers tokens that it knows inside `get`. Its own channel holds 256 and then waits
         # for a reader, which would be this thread: so collect them in a callback.
-        found: list[str] = []
+        found: list[tuple[str, bytes]] = []
         ended = threading.Event()
 
         def take(reply: zenoh.Reply) -> None:
             sample = reply.ok
             if sample is not None:
-                found.append(str(sample.key_expr))
+                found.append((str(sample.key_expr), sample.payload.to_bytes()))
 
         with _mapped(f"ask for {key}"):
-            self._session.liveliness().get(
-                key, Callback(take, ended.set, indirect=False), timeout=ANSWER
-            )
+            get(key, Callback(take, ended.set, indirect=False), timeout=timeout)
         ended.wait()
         return found
 
@@ -339,10 +333,14 @@ class Session:
 
 
 class Publisher:
-    """The sending end of a topic."""
+    """The sending end of a topic.
+
+    Attributes:
+        declared: Zenoh's object.
+    """
 
     def __init__(self, publisher: zenoh.Publisher | ext.AdvancedPublisher) -> None:
-        self._publisher = publisher
+        self.declared = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         """Send a message.
@@ -350,15 +348,9 @@ class Publisher:
         On a reliable topic, this method blocks while a subscriber does not keep up.
         """
         try:
-            self._publisher.put(payload, attachment=attachment)
+            self.declared.put(payload, attachment=attachment)
         except zenoh.ZError as error:
             raise _error("publish", error) from error
-
-    @property
-    def is_matching(self) -> bool:
-        """Whether Zenoh knows of a reader in another process. Always False on a latched topic."""
-        publisher = self._publisher
-        return isinstance(publisher, zenoh.Publisher) and _is_matching(publisher)
 
     def undeclare(self) -> None:
         """Undeclare the publisher, and drop the messages that it keeps. Call this once.
@@ -368,7 +360,7 @@ class Publisher:
         GIL while ``undeclare`` waits for one of Zenoh's threads. If this thread of Zenoh is waiting
         for the GIL, no Python code runs for ten seconds (eclipse-zenoh 1.10).
         """
-        del self._publisher
+        del self.declared
 
 
 class _LatchedSubscriber:
@@ -383,10 +375,14 @@ class _LatchedSubscriber:
 
 
 class Querier:
-    """The client end of a service."""
+    """The client end of a service.
+
+    Attributes:
+        declared: Zenoh's object.
+    """
 
     def __init__(self, querier: zenoh.Querier) -> None:
-        self._querier = querier
+        self.declared = querier
 
     def get(
         self,
@@ -418,21 +414,16 @@ class Querier:
                 failed(text, kind or (TIMEOUT if text == TIMEOUT else ""))
 
         try:
-            self._querier.get(
+            self.declared.get(
                 Callback(take, ended, indirect=False), payload=payload, attachment=attachment
             )
         except zenoh.ZError as error:
             raise _error("send a request", error) from error
 
-    @property
-    def is_matching(self) -> bool:
-        """Whether Zenoh knows of a server in another process."""
-        return _is_matching(self._querier)
-
     def undeclare(self) -> None:
         """Undeclare the client."""
         with _mapped("close a client"):
-            self._querier.undeclare()  # type: ignore[no-untyped-call]  # zenoh has no type here
+            self.declared.undeclare()  # type: ignore[no-untyped-call]  # zenoh has no type here
 
 
 class Query:
@@ -466,11 +457,6 @@ class Query:
     def drop(self) -> None:
         """End the request without an answer."""
         self._query.drop()  # type: ignore[no-untyped-call]  # zenoh has no type here
-
-
-def _is_matching(declared: zenoh.Publisher | zenoh.Querier) -> bool:
-    status: Any = declared.matching_status  # zenoh's types wrongly call it a bool
-    return bool(status.matching)
 
 
 def stay_attached() -> None:

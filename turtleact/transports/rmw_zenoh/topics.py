@@ -92,8 +92,11 @@ class BoundedQueue(Generic[T]):
         return entry
 
 
-class WirePublication:
-    """The sending end of a topic.
+class WirePublication(Source):
+    """The sending end of a topic, and its source in the local transport.
+
+    The local transport knows only the readers in this process. The publication also knows those in
+    other processes, and tells the source of the messages whether the topic has any reader.
 
     Args:
         context: The transport's context.
@@ -120,11 +123,12 @@ class WirePublication:
         self._topic = endpoint.name
         self._qos = endpoint.qos
         self._format = format
-        self._source = source
+        self._source = Source() if source is None else source  # the first one makes no messages
         self._gid = endpoint.gid
         self._attachments = Attachments(endpoint.gid)
         self._is_open = True
         self.is_read = self.is_latched = endpoint.qos.durability == "transient_local"
+        self._is_state = self.is_latched and source is not None
         self._is_expected = False  # whether a reader is expected
         self.is_stale = False
         self._is_watched = False  # whether the task below watches for changes
@@ -145,9 +149,9 @@ class WirePublication:
             on_wake=self.refresh,
         )
         context.opened.add(self)
-        relay = None if source is None else _Relay(source, self._local_readers_changed)
-        self._near: Publication = context.near.advertise(endpoint, format, relay)
-        if source is not None and self.is_latched:
+        inner = None if source is None else self
+        self._near: Publication = context.near.advertise(endpoint, format, inner)
+        if self._is_state:
             self._tell_source()
             self.refresh()
 
@@ -155,11 +159,6 @@ class WirePublication:
     def has_readers(self) -> bool:
         """Whether a new message has a reader, or (if the topic is latched) may get one later."""
         return self._is_open and (self.is_read or self._near.has_readers)
-
-    @property
-    def has_local_readers(self) -> bool:
-        """Whether messages published now have readers in this process, or may get readers later."""
-        return self._near.has_readers if self._source is None else self._has_local_readers
 
     @property
     def has_object_readers(self) -> bool:
@@ -171,19 +170,14 @@ class WirePublication:
         """Whether more than `CONGESTED` bytes wait to be sent."""
         return self._unsent.weight > CONGESTED
 
-    @property
-    def dropped(self) -> int:
-        """How many messages were dropped before they were sent, because too many were waiting."""
-        return self._unsent.dropped
-
     def publish(self, message: object) -> None:
         """Send a message to every subscription."""
         if not self._is_open:
             return
-        if self.is_read and not (self.is_latched and self._source is not None):
+        if self.is_read and not self._is_state:
             self._send_far(self._format.encode(message))
         self._near.publish(message)
-        if self.is_latched and self._source is not None:
+        if self._is_state:
             self._grow_stale()
 
     def expect_readers(self) -> None:
@@ -196,9 +190,9 @@ class WirePublication:
 
         On a latched topic, several calls in a row send only the last state to other processes.
         """
-        if self._is_open and self._source is not None:
+        if self._is_open:
             self._near.refresh()
-            if self.is_latched:
+            if self._is_state:
                 self._grow_stale()
             elif self.is_read:
                 self._send_current()
@@ -238,13 +232,22 @@ class WirePublication:
         self._tell_source()
         self._context.near.tell_change()  # its token announced the reader; now it can be reached
 
-    def _local_readers_changed(self, has_readers: bool) -> None:
+    def current(self) -> Sequence[object]:
+        """Return the source's messages for a new reader in this process."""
+        return self._source.current()
+
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
+        """Return the source's messages as bytes."""
+        return self._source.written(encode)
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Called when the topic gets its first reader in this process or loses its last one."""
         self._has_local_readers = has_readers
         self._tell_source()
 
     def _tell_source(self) -> None:
         has_readers = self.is_read or self._has_local_readers
-        if self._source is not None and has_readers != self._told_readers:
+        if has_readers != self._told_readers:
             self._told_readers = has_readers
             self._source.readers_changed(has_readers=has_readers)
 
@@ -265,13 +268,12 @@ class WirePublication:
             context.send_queue.post(self._put)
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
-            if self._source is not None:
-                self._source.message_lost()
+            self._source.message_lost()
 
     def _send_current(self) -> int:
         """Send the source's current messages to other processes, and return their size (bytes)."""
         self.is_stale = False
-        payloads = () if self._source is None else self._source.written(self._format.encode)
+        payloads = self._source.written(self._format.encode)
         for payload in payloads:
             self._send_far(payload)
         return sum(map(len, payloads))
@@ -435,28 +437,6 @@ class DirectSubscription(WireSubscription):
 
     def _take(self, payload: bytes) -> None:
         self._hand_over(payload)
-
-
-class _Relay(Source):
-    """Replaces the publication's source in the local transport.
-
-    The local transport knows only the readers in this process. Therefore, the relay reports these
-    readers to the publication. The publication also knows the readers in other processes, and tells
-    the source whether the topic has any reader.
-    """
-
-    def __init__(self, source: Source, readers_changed: Callable[[bool], None]) -> None:
-        self._source = source
-        self._readers_changed = readers_changed
-
-    def current(self) -> Sequence[object]:
-        return self._source.current()
-
-    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        return self._source.written(encode)
-
-    def readers_changed(self, *, has_readers: bool) -> None:
-        self._readers_changed(has_readers)
 
 
 def _note_loss(topic: str, qos: QoS, queue: BoundedQueue[Any], what: str) -> None:

@@ -43,7 +43,7 @@ from turtleact.transports.base import (
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
-from turtleact.transports.rmw_zenoh.services import WireCaller, WireService
+from turtleact.transports.rmw_zenoh.services import Calls, WireCaller, WireService
 from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import (
     DirectSubscription,
@@ -92,6 +92,7 @@ class ZenohTransport:
         self._services: WeakValueDictionary[tuple[str, str, str], WireService] = (
             WeakValueDictionary()
         )
+        self._calls = Calls(self.context.crew)
         self._count = 0
         self._gone_since: dict[object, set[str]] = {}  # tokens gone during each exploration
         self._awaited: set[anyio.Event] = set()  # set when they end, or at the close
@@ -135,8 +136,7 @@ class ZenohTransport:
     def serve(self, endpoint: Endpoint, format: Format, handler: ServiceHandler) -> Closeable:
         """Offer ``handler`` as the server of a service. This raises the same errors as `advertise`.
 
-        A request gets an error if another request with the same gid and sequence number is under
-        way. An exception of the handler is sent to the client. Clients of ROS 2 log the error.
+        An exception of the handler is sent to the client. Clients of ROS 2 log the error.
         """
         self._check_open()
         key = (endpoint.node, endpoint.name, endpoint.type_name)
@@ -154,7 +154,8 @@ class ZenohTransport:
         `Caller` is closed. If a server hangs without dying, the call raises `ServiceTimeout` after
         ten minutes. This method raises the same errors as `advertise`.
         """
-        return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
+        named = self._name(endpoint, format)
+        return WireCaller(self.context, named, format, target, self._servers, self._calls)
 
     def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service in this process."""
@@ -259,14 +260,9 @@ class ZenohTransport:
             return
         context.is_open = False
         with anyio.CancelScope(shield=True):
-            opened = tuple(context.opened)
-            for each in opened:
-                if isinstance(each, WireCaller):
-                    each.give_up()
+            self._calls.end()
             await context.crew.aclose()
-            for each in opened:
-                if isinstance(each, WireService):
-                    each.give_up()
+            for each in tuple(context.opened):
                 each.close()
             await context.send_queue.aclose()
             await anyio.to_thread.run_sync(context.session.close)
@@ -357,9 +353,7 @@ class ZenohTransport:
             for handler in self._near.handlers(token.endpoint.name):
                 handler.caller_lost(token.endpoint.gid)
         if token.endpoint is not None and token.endpoint.kind == "service":
-            for each in tuple(self.context.opened):
-                if isinstance(each, WireCaller):
-                    each.doubt(token.endpoint.name)
+            self._calls.doubt(token.endpoint.name)
         self._near.tell_change()
 
 

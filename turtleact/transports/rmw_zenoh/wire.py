@@ -78,6 +78,7 @@ __all__ = [
     "parse_token",
     "read_attachment",
     "ros_type",
+    "stamp_in",
     "write_attachment",
 ]
 
@@ -456,6 +457,11 @@ def gid_in(data: bytes) -> bytes:
 def count_in(data: bytes) -> int:
     """Return the sequence number in an attachment. Like `gid_in`, this accepts any bytes."""
     return int.from_bytes(data[:8], "little")
+
+
+def stamp_in(data: bytes) -> int:
+    """Return the time of sending in an attachment. Like `gid_in`, this accepts any bytes."""
+    return int.from_bytes(data[8:16], "little")
 
 
 def _invalid(problem: str) -> InvalidMessage:
