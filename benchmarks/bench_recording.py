@@ -40,7 +40,7 @@ from zenoh.handlers import RingChannel
 import turtleact
 from benchmarks.bench_rclpy import installed
 from turtleact import open_world, recording
-from turtleact.goals.introspection import Introspection
+from turtleact.goals.service_server import Introspection
 from turtleact.interfaces import encode, get_message, type_hash
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.recording.bag_writer import BagWriter, Split

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import turtleact
-from turtleact.goals.introspection import EVENT_QOS
+from turtleact.goals.service_server import EVENT_QOS
 from turtleact.interfaces import Action, Message, implied, int32, to_dict, type_hash
 from turtleact.interfaces.classes import event_message
 from turtleact.names import event_topic

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -20,7 +18,7 @@ from turtleact import (
     open_world,
 )
 from turtleact.errors import InvalidOption, ServiceError, TurtleactError
-from turtleact.goals.introspection import EVENT_QOS
+from turtleact.goals.service_server import EVENT_QOS
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, ServiceEventInfo, Time
@@ -353,24 +351,3 @@ async def test_a_service_that_cannot_be_opened_leaves_no_topic_behind(monkeypatc
         with pytest.raises(TurtleactError, match="no more room"):
             open_it(introspection="contents")
         assert not node.transport.endpoints(event_topic("/flip"))
-
-
-def test_a_program_without_introspection_does_not_import_it():
-    program = """
-import asyncio, sys
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-from turtleact.actions import fibonacci
-
-async def main():
-    async with turtleact.open_node("lab") as node:
-        node.serve(fibonacci.fibonacci)
-        await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal(1))
-
-asyncio.run(main())
-print("turtleact.goals.introspection" in sys.modules)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=20
-    )
-    assert done.stdout == "False\n"

@@ -559,17 +559,6 @@ async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout
     assert await tasks_of_asyncio() == before
 
 
-@ON_ASYNCIO
-async def test_a_handler_canceled_before_its_first_step_is_not_called(gate):
-    async with desk(gate.wait) as served:
-        asking = asyncio.create_task(served.local.answer(numbers()))
-        await asyncio.sleep(0)  # there is a task for the handler now; it runs in the next turn
-        await served.server.aclose()
-        with pytest.raises(ServerUnavailable):
-            await asking
-        assert gate.log == []
-
-
 async def test_a_handler_that_does_not_end_holds_its_caller_for_the_grace_only(gate, no_grace):
     async with (
         desk(gate.hold_on) as served,

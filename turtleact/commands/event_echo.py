@@ -1,7 +1,7 @@
 """Implements ``action echo`` and ``service echo``, which print requests and responses.
 
 A client or server publishes its requests and responses only if service introspection is on
-(`turtleact.goals.introspection`). ``action echo`` also prints the feedback and the status, which
+(`turtleact.goals.service_server`). ``action echo`` also prints the feedback and the status, which
 every action server publishes.
 
 Source: ros2cli ``ros2service/verb/echo.py`` and ``ros2action/verb/echo.py`` (Kilted).

@@ -14,8 +14,8 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.access_config import AccessConfig
-    from turtleact.goals.introspection import Introspection
     from turtleact.goals.records import OnRestart
+    from turtleact.goals.service_server import Introspection
     from turtleact.transports import QoS
 
 __all__ = [

@@ -29,7 +29,6 @@ from collections.abc import (
     Mapping,
 )
 from typing import (
-    TYPE_CHECKING,
     Any,
     Generic,
     Literal,
@@ -46,13 +45,11 @@ from typing import (
 from turtleact.errors import InvalidBody
 from turtleact.goals.policies import Policy
 from turtleact.goals.records import GoalJournal, OnRestart
+from turtleact.goals.service_server import Introspection
 from turtleact.goals.state import CancelResponse, GoalResponse
 from turtleact.interfaces import Action, Message
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import validate_name
-
-if TYPE_CHECKING:
-    from turtleact.goals.introspection import Introspection
 
 __all__ = [
     "ActionBody",

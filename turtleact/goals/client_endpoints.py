@@ -19,7 +19,7 @@ import anyio
 
 from turtleact.errors import PauseRefused, ServerUnavailable
 from turtleact.goals.body import ActionType
-from turtleact.goals.service_server import service_events
+from turtleact.goals.service_server import Introspection, service_events
 from turtleact.goals.state import CancelCode, Goal, GoalStatus
 from turtleact.goals.wire import (
     PausedGoals,
@@ -56,7 +56,6 @@ from turtleact.transports.base import (
 
 if TYPE_CHECKING:
     from turtleact.goals.fault_reports import LostFeedback
-    from turtleact.goals.introspection import Introspection
     from turtleact.interfaces import Service
 
 __all__ = ["ClientEndpoints"]

@@ -19,8 +19,7 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -30,7 +29,7 @@ from turtleact.errors import CUT_OFF, STOPPED, GoalRejected
 from turtleact.goals.observers import FeedbackLost, GoalObserver
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
-from turtleact.goals.service_server import LocalServiceServer, service_events
+from turtleact.goals.service_server import Introspection, service_events
 from turtleact.goals.state import CancelCode, Goal, GoalRequest, GoalStatus
 from turtleact.goals.wire import GoalMetadata, GoalReason, reason_topic, write_states
 from turtleact.interfaces import (
@@ -70,7 +69,6 @@ from turtleact.transports.base import (
 
 if TYPE_CHECKING:
     from turtleact.goals.fault_reports import LostFeedback
-    from turtleact.goals.introspection import Introspection
 
 __all__ = ["ActionEndpoints", "FeedbackTopic", "StatusTopic"]
 
@@ -183,8 +181,6 @@ class ActionEndpoints:
         await wait_while(lambda: results.waiting, results.answered, GRACE)
         for opened in self._services:
             opened.close()
-        for service in (self._send_goal, self._cancel_goal, self._get_result):
-            await service.aclose()
         for topic in self._topics:
             topic.close()
         await self._pausing.aclose()
@@ -396,12 +392,11 @@ class ReasonTopic(Source, GoalObserver):
 class _ActionService(ServiceHandler):
     """One of the action's three services. Its message classes are made when they are first needed.
 
-    A request from another process needs no check, because decoding the request has checked it.
+    A request needs no check: decoding it, or the service client in this process, has checked it.
 
     Attributes:
         server: The action server that the service belongs to.
         name: The name of the service.
-        is_open: Whether the service accepts requests.
         answered: A signal that fires whenever a request has been answered.
         observer: The observer of the service's calls; None if there is none.
         waiting: The number of requests that are not answered yet.
@@ -410,53 +405,22 @@ class _ActionService(ServiceHandler):
     def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
         self.server = server
         self.name = name
-        self.is_open = True
         self.answered = tasks.signal()
         self.waiting = 0
-        self._tasks = tasks
-        self._checked: LocalServiceServer[Any, Any] | None = None
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         """Return the class of the service."""
         raise NotImplementedError
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        """Answer a request.
-
-        ``caller`` is the client's gid, or empty for a client in this process.
-        """
+        """Answer a request. ``caller`` is the client's gid."""
         raise NotImplementedError
 
-    # called by transports and service clients
-
-    async def answer(self, request: object) -> object:
-        """Check a request from a client in the same process, and answer it."""
-        if self._checked is None:
-            self._checked = LocalServiceServer(
-                self.find_type(), self.name, self._handle_checked, tasks=self._tasks
-            )
-        with self._counting():
-            return await self._checked.answer(request)
-
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request from another process."""
-        with self._counting():
-            return await self.handle(request, caller)
-
-    async def aclose(self) -> None:
-        """Answer every waiting request."""
-        self.is_open = False
-        if self._checked is not None:
-            await self._checked.aclose()
-
-    async def _handle_checked(self, request: Any) -> object:  # noqa: ANN401
-        return (await self.handle(request, b"")).message
-
-    @contextmanager
-    def _counting(self) -> Iterator[None]:
+        """Count a request, and answer it."""
         self.waiting += 1
         try:
-            yield
+            return await self.handle(request, caller)
         finally:
             self.waiting -= 1
             self.answered.fire()

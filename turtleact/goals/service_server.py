@@ -1,8 +1,8 @@
-"""Answers the requests of a service with a function.
+"""Answers the requests of a service with a function, and publishes events about its calls.
 
-The services of a node use this class, and so do the services of an action that are called less
-often. Clients in the same process call the server object directly (`LocalService`). Other clients
-send their requests through a `turtleact.transports.base.Caller`.
+The services of a node use this class, and so do the services that pause an action's goals. Clients
+in the same process call the server object directly. Other clients send their requests through a
+`turtleact.transports.base.Caller`.
 
 - The server handles each request in its own task, so it can handle several at the same time.
 - Every caller gets an answer: the response, or the reason why there is none.
@@ -10,7 +10,20 @@ send their requests through a `turtleact.transports.base.Caller`.
   another process, the handler is cancelled only when the client is closed or the process dies.
 - If the server is closed, all handlers are cancelled.
 
-Source: rclpy ``service.py`` for names and behaviour.
+Service introspection publishes each call on the topic ``SERVICE/_service_event``, as ROS 2 does.
+Events are made from the calls of a service, not from the changes of an action's goals, because some
+calls do not change any goal, such as a goal request that is rejected. The client and the server
+each publish two of the four kinds of events:
+
+=====================  ======================================
+``REQUEST_SENT``       the client has sent a request
+``REQUEST_RECEIVED``   the server has received the request
+``RESPONSE_SENT``      the server has sent the response
+``RESPONSE_RECEIVED``  the client has received the response
+=====================  ======================================
+
+Source: rclpy ``service.py`` for names and behaviour; rcl ``service_event_publisher.c``;
+``service_msgs/msg/ServiceEventInfo``; REP 2012.
 """
 
 from __future__ import annotations
@@ -21,16 +34,9 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Generic,
-    Protocol,
-    TypeAlias,
-    TypeVar,
-    cast,
-    runtime_checkable,
-)
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast, get_args
+
+import msgspec
 
 from turtleact.errors import (
     STOPPED,
@@ -38,25 +44,25 @@ from turtleact.errors import (
     InvalidOption,
     ServerUnavailable,
     ServiceError,
-    TurtleactError,
     summary,
 )
-from turtleact.interfaces import Message, snapshotter
+from turtleact.interfaces import EventFormat, Message, WireFormat, snapshotter
+from turtleact.interfaces.standard import ServiceEventInfo
+from turtleact.names import event_topic
 from turtleact.tasks import GRACE, Signal, Task, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     CallObserver,
     Endpoint,
     MakeEndpoint,
+    QoS,
     Reply,
     ServiceHandler,
     Transport,
 )
 
-if TYPE_CHECKING:
-    from turtleact.goals.introspection import Introspection
-
 __all__ = [
-    "LocalService",
+    "EVENT_QOS",
+    "Introspection",
     "LocalServiceServer",
     "ServiceType",
     "checker",
@@ -73,6 +79,12 @@ ResMade = TypeVar("ResMade", bound=Message, covariant=True)
 
 Check: TypeAlias = Callable[[object], Message]
 
+Introspection: TypeAlias = Literal["off", "metadata", "contents"]
+"""Whether to publish nothing, only the metadata of each call, or also requests and responses."""
+
+EVENT_QOS = QoS(depth=100)
+"""The quality of service of the topic of events: reliable and volatile."""
+
 
 class ServiceType(Protocol[ReqMade, ResMade]):
     """What type checkers need to know about a subclass of `turtleact.Service`."""
@@ -86,17 +98,6 @@ class ServiceType(Protocol[ReqMade, ResMade]):
 
     def Response(self, *args: Any, **kwargs: Any) -> ResMade:  # noqa: ANN401  # any arguments
         """Make a response message."""
-
-
-@runtime_checkable
-class LocalService(Protocol):
-    """The part of `LocalServiceServer` that clients in the same process use."""
-
-    is_open: bool
-    observer: CallObserver | None
-
-    async def answer(self, request: object) -> object:
-        """Handle a request and return its response."""
 
 
 class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
@@ -152,15 +153,15 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         """
         if not self.is_open:
             raise self._closed()
-        call = _Call(self._check_request(request), self._tasks.signal(), caller)
+        call = _Call(self._check_request(request), caller, self._tasks.signal())
         self._calls[call] = None
         call.task = self._tasks.spawn(self._run(call), f"a handler of {self.name}")
         try:
             while not call.outcome.done():
                 await call.changed.wait()
         except self._tasks.cancelled:
-            call.cancel()
-            await wait_while(lambda: not call.has_ended, call.changed, GRACE)
+            call.task.cancel()
+            await wait_while(lambda: call in self._calls, call.changed, GRACE)
             raise
         return cast("Res", call.outcome.result())
 
@@ -171,8 +172,8 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
     def caller_lost(self, caller: bytes) -> None:
         """Cancel the handlers of a client that has gone. ``caller`` is the client's gid."""
         for call in self._calls:
-            if call.caller == caller:
-                call.cancel()
+            if call.caller == caller and call.task is not None:
+                call.task.cancel()
 
     async def aclose(self) -> None:
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
@@ -182,34 +183,36 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         """
         self.is_open = False
         for call in self._calls:
-            call.answer(error=self._closed())
-            call.cancel()
+            call.settle(self._closed())
+            if call.task is not None:
+                call.task.cancel()
         await wait_while(lambda: self._calls, self._ended, GRACE)
         for _ in self._calls:
             logger.error("a handler of service %s has not ended; it is left running", self.name)
 
     async def _run(self, call: _Call) -> None:
         """Handle a request and answer its caller. Raise only exceptions that stop the program."""
-        if call.is_canceled:  # before the task took its first step
-            self._end(call, error=self._closed())
-            return
         try:
             response = self._handler(call.request)
             if isawaitable(response):
                 response = await response
+            call.settle(self._checked(response))
         except (KeyboardInterrupt, SystemExit):
-            self._end(call, error=ServiceError(self.name, STOPPED))
+            call.settle(ServiceError(self.name, STOPPED))
             raise
         except BaseException as error:
-            self._end(call, error=ServiceError(self.name, self._reason(error)))
-            return
+            call.settle(ServiceError(self.name, self._reason(error)))
+        finally:
+            del self._calls[call]
+            call.changed.fire()
+            self._ended.fire()
+
+    def _checked(self, response: object) -> Message | ServiceError:
         try:
-            checked = self._check_response(response)
+            return self._check_response(response)
         except InvalidMessage as misfit:
             logger.error("the handler of service %s gave no valid response: %s", self.name, misfit)
-            self._end(call, error=ServiceError(self.name, f"no valid response: {misfit}"))
-        else:
-            self._end(call, checked)
+            return ServiceError(self.name, f"no valid response: {misfit}")
 
     def _reason(self, error: BaseException) -> str:
         """Describe a handler's exception for the caller.
@@ -221,16 +224,112 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         logger.error("the handler of service %s failed", self.name, exc_info=error)
         return f"the handler failed: {summary(error)}"
 
-    def _end(
-        self, call: _Call, response: object = None, *, error: TurtleactError | None = None
-    ) -> None:
-        del self._calls[call]
-        call.has_ended = True
-        call.answer(response, error=error)
-        self._ended.fire()
-
     def _closed(self) -> ServerUnavailable:
         return ServerUnavailable(self.name, "the server was closed", kind="service")
+
+
+class _Call:
+    """One request and its outcome.
+
+    Attributes:
+        request: A checked copy of the request.
+        caller: The gid of the request's client in another process; empty for a client in this
+            process.
+        changed: A signal that fires when the call is answered, and when the handler has ended.
+        outcome: The response, or the error that the caller gets.
+        task: The task of the handler.
+    """
+
+    __slots__ = ("caller", "changed", "outcome", "request", "task")
+
+    def __init__(self, request: Message, caller: bytes, changed: Signal) -> None:
+        self.request = request
+        self.caller = caller
+        self.changed = changed
+        self.outcome = Future[Message]()
+        self.task: Task | None = None
+
+    def settle(self, answer: Message | Exception) -> None:
+        """Set the response or the error, unless the call is answered already; wake the caller."""
+        if not self.outcome.done():
+            if isinstance(answer, Exception):
+                self.outcome.set_exception(answer)
+            else:
+                self.outcome.set_result(answer)
+        self.changed.fire()
+
+
+class ServiceEvents(CallObserver):
+    """Publishes the events that one client or one server of a service sees.
+
+    The topic exists from the beginning, because tools subscribe only to topics that they can see.
+    An event is built only while the topic has subscribers.
+
+    Args:
+        transport: The transport that publishes the events.
+        endpoint: A function that returns the description of an endpoint.
+        service: The endpoint of the client or server whose calls are published.
+        find_type: A function that returns the class of the service.
+        has_contents: Whether to publish the requests and responses, too.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        endpoint: MakeEndpoint,
+        service: Endpoint,
+        find_type: Callable[[], object],
+        *,
+        has_contents: bool,
+    ) -> None:
+        self._has_contents = has_contents
+        is_client = service.kind == "client"
+        info = ServiceEventInfo
+        self._request = info.REQUEST_SENT if is_client else info.REQUEST_RECEIVED
+        self._response = info.RESPONSE_RECEIVED if is_client else info.RESPONSE_SENT
+        self._now = transport.clock.now
+        self._topic = event_topic(service.name)
+        described = endpoint("publisher", self._topic, f"{service.type_name}_Event", EVENT_QOS)
+        if service.on_demand:
+            described = msgspec.structs.replace(described, on_demand=True)
+        self._format = EventFormat(find_type)
+        self._encode_request = WireFormat(find_type, asks=True).encode
+        self._encode_response = WireFormat(find_type).encode
+        self._publication = transport.advertise(described, self._format)
+        self._is_open = True
+
+    def requested(self, request: object, gid: bytes, sequence: int) -> None:
+        """Publish that a request has been sent or received."""
+        if self._is_open and self._publication.has_readers:
+            self._publish(self._request, gid, sequence, request)
+
+    def responded(self, response: object, gid: bytes, sequence: int) -> None:
+        """Publish that a response has been sent or received."""
+        if self._is_open and self._publication.has_readers:
+            self._publish(self._response, gid, sequence, response)
+
+    def close(self) -> None:
+        """Close the publisher."""
+        self._is_open = False
+        self._publication.close()
+
+    def _publish(self, kind: int, gid: bytes, sequence: int, message: object) -> None:
+        """Publish an event. A failure is only logged, because it must not affect the call."""
+        try:
+            contents: dict[str, bytes] = {}
+            if self._has_contents:
+                is_request = kind == self._request
+                encode = self._encode_request if is_request else self._encode_response
+                data = message if isinstance(message, bytes) else encode(message)
+                contents["request" if is_request else "response"] = data
+            info = self._format.info(kind, self._now(), gid, sequence)
+            event = self._format.write(info, **contents)
+            if self._publication.has_object_readers:
+                self._publication.publish(self._format.decode(event))
+            else:
+                self._publication.send(event)
+        except Exception:
+            logger.exception("an event of topic %s cannot be published", self._topic)
 
 
 def service_events(
@@ -252,11 +351,13 @@ def service_events(
     Raises:
         InvalidOption: if the mode does not exist.
     """
+    if mode not in get_args(Introspection):
+        words = ", ".join(get_args(Introspection))
+        raise InvalidOption("introspection", f"expected one of {words}, not {mode!r}")
     if mode == "off":
         return None
-    from turtleact.goals.introspection import ServiceEvents  # few programs need it
-
-    return ServiceEvents(transport, endpoint, service, find_type, mode)
+    has_contents = mode == "contents"
+    return ServiceEvents(transport, endpoint, service, find_type, has_contents=has_contents)
 
 
 @contextmanager
@@ -268,47 +369,6 @@ def closed_on_error(events: CallObserver | None) -> Iterator[CallObserver | None
         if events is not None:
             events.close()
         raise
-
-
-class _Call:
-    """One request and its outcome.
-
-    Attributes:
-        request: A checked copy of the request.
-        caller: The gid of the request's client in another process; empty for a client in this
-            process.
-        changed: A signal that fires when the call is answered, and when the handler has ended.
-        outcome: The response, or the error that the caller gets.
-        is_canceled: Whether `cancel` was called.
-        has_ended: Whether the handler has ended.
-        task: The task of the handler.
-    """
-
-    __slots__ = ("caller", "changed", "has_ended", "is_canceled", "outcome", "request", "task")
-
-    def __init__(self, request: Message, changed: Signal, caller: bytes = b"") -> None:
-        self.request = request
-        self.caller = caller
-        self.changed = changed
-        self.outcome = Future[object]()
-        self.is_canceled = False
-        self.has_ended = False
-        self.task: Task | None = None
-
-    def cancel(self) -> None:
-        """Cancel the handler at its next await."""
-        self.is_canceled = True
-        if self.task is not None:
-            self.task.cancel()
-
-    def answer(self, response: object = None, *, error: TurtleactError | None = None) -> None:
-        """Set the answer, unless the call has one already, and wake the caller."""
-        if not self.outcome.done():
-            if error is None:
-                self.outcome.set_result(response)
-            else:
-                self.outcome.set_exception(error)
-        self.changed.fire()
 
 
 def _checked_handler(handler: object) -> Callable[[Message], object]:

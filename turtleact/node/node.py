@@ -69,7 +69,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
-    from turtleact.goals.introspection import Introspection
+    from turtleact.goals.service_server import Introspection
     from turtleact.node import untyped as by_name
     from turtleact.node.learning import Learner
     from turtleact.node.parameter_rules import Bounds, ParameterDeclaration, Value

@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable
 from typing import Generic, TypeVar, cast
 
 from turtleact.errors import ServerUnavailable, ServiceTimeout
-from turtleact.goals.service_server import LocalService, LocalServiceServer, ServiceType, checker
+from turtleact.goals.service_server import LocalServiceServer, ServiceType, checker
 from turtleact.interfaces import Message
 from turtleact.tasks import Tasks
 from turtleact.tasks.clock import check_timeout, within
@@ -99,7 +99,7 @@ class ServiceClient(Generic[Req, Res]):
         self._membership = owner.add(self, caller)
         self._home = owner.home.of(f"the client of service '{name}'")
         self._tasks = tasks
-        self._found: LocalService | None = None
+        self._found: LocalServiceServer[Req, Res] | None = None
         self._is_open = True
         self._calls = 0  # to servers that are not called directly
         self._check_request = checker(service_type.Request, "request")
@@ -168,10 +168,7 @@ class ServiceClient(Generic[Req, Res]):
             self._caller.observer.close()
 
     async def _answer(self, request: object) -> object:
-        """Send a request to the server in this process, or to another process.
-
-        The request goes to another process only if this process has no server of the service.
-        """
+        """Call the server in this process directly, or send the request with the transport."""
         server = self._found
         if server is None or not server.is_open:
             await find_server(self._transport, self._find)
@@ -188,14 +185,14 @@ class ServiceClient(Generic[Req, Res]):
             self._calls -= 1
             self._close_observer()
 
-    def _find_local(self) -> LocalService | None:
-        """Return the server in this process.
+    def _find_local(self) -> LocalServiceServer[Req, Res] | None:
+        """Return the server in this process if the client can call it directly.
 
-        Return None if this process has no server for the service, or if an observer needs the
-        requests to be sent as messages.
+        Return None if this process has no such server, or if an observer needs the requests to be
+        sent as messages.
         """
         found = self._transport.local(self.name, self.service_type.type_name)
-        if not isinstance(found, LocalService) or self._caller.observer is not None:
+        if not isinstance(found, LocalServiceServer) or self._caller.observer is not None:
             return None
         return found if found.observer is None else None
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import uuid
 
     from turtleact.goals.client_handle import ClientGoalHandle
-    from turtleact.goals.introspection import Introspection
+    from turtleact.goals.service_server import Introspection
     from turtleact.interfaces.standard import CancelGoal, Time
     from turtleact.transports.graph import Kind
 

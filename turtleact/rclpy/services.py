@@ -1,7 +1,7 @@
 """Clients and servers of services, and the introspection of their calls.
 
-`turtleact.goals.introspection` describes the events of the introspection and their topic. A program
-with rclpy may switch the events on and off at any time.
+`turtleact.goals.service_server` describes the events of the introspection and their topic. A
+program with rclpy may switch the events on and off at any time.
 
 Source: rclpy ``client.py``, ``service.py`` and ``service_introspection.py``; rcl
 ``service_event_publisher.c``.

@@ -21,7 +21,7 @@ from turtleact.tasks.clock import Clock, make_clock
 from turtleact.transports import MemoryTransport, Transport
 
 if TYPE_CHECKING:
-    from turtleact.goals.introspection import Introspection
+    from turtleact.goals.service_server import Introspection
 
 __all__ = ["OpenGraph", "WorldNode", "open_world"]
 
