@@ -147,6 +147,7 @@ async def test_feedback_goes_to_all_who_listen_and_to_the_sender():
         wire = Wire(served.node)
         one, other = wire.listen(), wire.listen()
         await wire.send()
+        await settle()
         async with served.client.send_goal(goal(1), goal_id=OTHER.uuid) as handle:
             assert [each async for each in handle] == [feedback(0)]
         heard = [(each.goal_id, each.feedback) for each in one.drain()]

@@ -517,7 +517,7 @@ async def test_a_lost_client_does_not_wait_for_the_callback_that_lets_goals_go()
 
 async def test_nothing_else_can_be_done_with_the_goals_of_lost_clients():
     async with turtleact.open_node("lab") as node:
-        with pytest.raises(InvalidOption, match="expected 'keep' or 'cancel', not 'forget'"):
+        with pytest.raises(InvalidOption, match="expected one of keep, cancel, not 'forget'"):
             node.action_server(Count, "count", count, on_client_lost="forget")  # type: ignore[arg-type]  # that is the point
 
 

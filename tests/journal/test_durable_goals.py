@@ -687,5 +687,5 @@ async def test_a_goal_whose_result_has_expired_is_joined_from_the_file(path):
 
 async def test_on_restart_is_one_of_two_words(path):
     async with place(path) as here:
-        with pytest.raises(InvalidOption, match="'on_restart': expected 'abort' or 'resume'"):
+        with pytest.raises(InvalidOption, match="'on_restart': expected one of abort, resume"):
             here.serve(Gate().wait, on_restart="drop")

@@ -24,7 +24,7 @@ import anyio
 import anyio.lowlevel
 import msgspec
 
-from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
+from turtleact.errors import STOPS, InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goals.body import ActionType
 from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.client_handle import (
@@ -42,7 +42,7 @@ from turtleact.goals.observers import Detached, GoalObserver, News, Observers
 from turtleact.goals.remote import RemoteActionServer
 from turtleact.goals.running import BodyTask
 from turtleact.goals.server import GoalServer, OffersGoals, goal_id_bytes, new_goal_id
-from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, failure
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, OnFeedback, failure
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
@@ -347,11 +347,33 @@ class ActionClient(Generic[G, R, F]):
     async def _send_to_server(self, request: GoalRequest) -> tuple[GoalServer, Goal]:
         """Send a goal, and return it with its server. The goal may not be accepted yet."""
         server = self._known_server() or await self._find_server(request.reattach)
+        if request.on_feedback is not None:
+            request.goal_id = request.goal_id or new_goal_id()
+            request.on_feedback = self._guard(request.on_feedback, request.goal_id)
         goal = await server.send(request)
         parent = CURRENT_GOAL.get()
         if parent is not None and isinstance(parent.body, BodyTask):
             parent.body.add_child(goal, server)
         return server, goal
+
+    def _guard(self, on_feedback: OnFeedback, goal_id: bytes) -> OnFeedback:
+        """Let a user's callback run in its sender's context, and log what it raises.
+
+        Otherwise it would run in the context of the body that publishes the feedback, or in that of
+        the topic's reader, and would raise there.
+        """
+        context = copy_context()
+
+        def call(feedback: object) -> None:
+            try:
+                context.run(on_feedback, feedback)
+            except STOPS:
+                raise
+            except BaseException as error:  # also a stray cancellation: this body was not cancelled
+                problem = "the feedback_callback of a goal of %s failed (goal %s)"
+                logger.error(problem, self.name, goal_id.hex(), exc_info=error)
+
+        return call
 
     async def _wait(
         self, server: GoalServer, goal: Goal, wait: Callable[[], Awaitable[None]]
@@ -378,9 +400,8 @@ class ActionClient(Generic[G, R, F]):
         if goal is None:
             raise UnknownGoal(f"the server of '{self.name}' is back, but does not hold the goal")
         goal.sender = goal.sender or request.sender  # so that the client's observers hear of it
-        on_feedback: Any = request.on_feedback
-        if on_feedback is not None and goal.log.on_feedback is None:  # in the sender's context
-            goal.log.on_feedback = partial(copy_context().run, on_feedback)
+        if goal.log.on_feedback is None:
+            goal.log.on_feedback = request.on_feedback
         return server, goal
 
     async def _enter(self, request: GoalRequest) -> ClientGoalHandle[R, F]:

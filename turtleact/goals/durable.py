@@ -327,7 +327,11 @@ class DurableGoals(GoalObserver):
         server.table.add(goal)
         if why := self._why_not_resumed(record):
             server.show(goal)
-            self._end_restored(goal, why, canceling=record.status is _CANCELING)
+            goal.reason = why
+            if record.status is _CANCELING:
+                server.move(goal, GoalEvent.EXECUTE)
+                server.move(goal, GoalEvent.CANCEL_GOAL)
+            server.end_canceled(goal)
         else:
             if record.is_paused:
                 server.pauses.hold(goal)
@@ -335,13 +339,6 @@ class DurableGoals(GoalObserver):
             status = GoalStatus.EXECUTING if self._starts_at_once else None
             change = GoalChange(crashes=self._crashes(record), is_stopped=False, status=status)
             self._journal.progress(record.id, change, partial(self._go_on, goal))
-
-    def _end_restored(self, goal: Goal, why: str, *, canceling: bool = False) -> None:
-        self._server.move(goal, GoalEvent.EXECUTE)
-        if canceling:
-            self._server.move(goal, GoalEvent.CANCEL_GOAL)
-        event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
-        self._server.end(goal, event, None, "" if canceling else why)
 
     def _go_on(self, goal: Goal) -> None:
         """Start a restored goal, or let it wait for its turn."""
@@ -351,7 +348,8 @@ class DurableGoals(GoalObserver):
             self._server.begin(goal)
         except GoalRejected as rejected:
             self._server.table.add(goal)
-            self._end_restored(goal, rejected.reason)
+            goal.reason = rejected.reason
+            self._server.end_canceled(goal)
 
     def _owns(self, record: GoalRecord) -> bool:
         """Whether a record has the name and the type of this action."""

@@ -1,9 +1,9 @@
 """Opens an action server: puts the plain server and the options that the user has chosen together.
 
 Each option replaces steps of the server and calls what it replaced. The order matters: the later an
-option comes, the further outside it is. `Callbacks`, in this module, asks the user's functions
-whether to accept a goal and whether to cancel a goal. Slots, the journal and pauses have modules of
-their own.
+option comes, the further outside it is. Two options are in this module: `Callbacks` asks the user's
+functions whether to accept a goal and whether to cancel a goal, and `SlotUser` lets the goals wait
+for a place in a slot. The journal and pauses have modules of their own.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ import inspect
 import logging
 from collections import Counter
 from collections.abc import Callable
+from contextvars import Context, copy_context
 from inspect import isawaitable
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 import anyio
 import msgspec
@@ -22,15 +23,15 @@ from turtleact.errors import GoalRejected, InvalidOption, Reject, summary, text_
 from turtleact.goals.body import ServerOptions
 from turtleact.goals.durable import DurableGoals
 from turtleact.goals.pausing import Pauses
-from turtleact.goals.policies import Rules, Slots
+from turtleact.goals.policies import Decision, Rules, Slot, Slots
 from turtleact.goals.records import OnRestart
 from turtleact.goals.running import BodyRunner
 from turtleact.goals.server import LocalActionServer, ServerSpec
-from turtleact.goals.slots import PlaceRequest, SlotUser
+from turtleact.goals.service_server import Introspection
 from turtleact.goals.state import CancelResponse, Goal, GoalRequest, GoalResponse
 from turtleact.tasks import GRACE, Tasks
 
-__all__ = ["open_server"]
+__all__ = ["PlaceRequest", "open_server"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -79,29 +80,33 @@ def open_server(
     return server, durable
 
 
+_CHOICES: Final = {
+    "on_client_lost": ("keep", "cancel"),
+    "on_restart": get_args(OnRestart),
+    "introspection": get_args(Introspection),
+}
+
+
 def _check(options: ServerOptions) -> None:
     """Check the values of a server's options; the other modules check the rest."""
-    lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
-    if lost not in ("keep", "cancel"):
-        raise InvalidOption("on_client_lost", f"expected 'keep' or 'cancel', not {lost!r}")
-    is_time = isinstance(kept, int | float) and not isinstance(kept, bool) and 0 <= kept < 1e9
-    if kept is not None and not is_time:
+    for name, choices in _CHOICES.items():
+        given = options.get(name)
+        if given is not None and given not in choices:
+            raise InvalidOption(name, f"expected one of {', '.join(choices)}, not {given!r}")
+    kept, grace = options.get("result_timeout"), options.get("grace", GRACE)
+    if kept is not None and not _is_time(kept):
         problem = f"expected a number of seconds, 0 or more, or None for ever, not {kept!r}"
         raise InvalidOption("result_timeout", problem)
-    grace = options.get("grace", 0.0)
-    if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
+    if not _is_time(grace):
         raise InvalidOption("grace", f"expected a number of seconds, 0 or more, not {grace!r}")
-    if options.get("on_restart", "abort") not in get_args(OnRestart):
-        problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
-        raise InvalidOption("on_restart", problem)
-    shown = options.get("introspection")
-    if shown not in (None, "off", "metadata", "contents"):
-        problem = f"expected 'off', 'metadata' or 'contents', not {shown!r}"
-        raise InvalidOption("introspection", problem)
     for name in ("on_pause", "on_resume"):
         callback = options.get(name)
         if callback is not None and not inspect.iscoroutinefunction(callback):
             raise InvalidOption(name, f"expected a coroutine function, not {callback!r}")
+
+
+def _is_time(given: object) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool) and 0 <= given < 1e9
 
 
 class Callbacks:
@@ -232,3 +237,101 @@ def _cancel_goals_of_lost_clients(server: LocalActionServer) -> None:
                 server.request_cancel(goal)
 
     server.client_lost = client_lost
+
+
+class PlaceRequest:
+    """A goal's request for a place in a slot. The server cancels a waiting goal with `cancel`.
+
+    Attributes:
+        goal: The goal.
+        action: The fully qualified name of the goal's action.
+        context: The sender's context, in which the body will run.
+    """
+
+    __slots__ = ("_user", "action", "context", "goal")
+
+    def __init__(self, user: SlotUser, goal: Goal) -> None:
+        self._user = user
+        self.goal = goal
+        self.action = user.server.name
+        self.context: Context = copy_context()
+
+    @property
+    def label(self) -> str:
+        """The goal's name, as in "busy with <name>"."""
+        return f"goal {self.goal.hex} of {self.action}"
+
+    def start(self) -> None:
+        """Start the goal when its turn has come, unless the goal has ended meanwhile."""
+        self._user.start(self)
+
+    def cancel(self) -> None:
+        """End the goal, which has not yet got a place in the slot."""
+        self._user.server.end_canceled(self.goal)
+
+    def evict(self, reason: str) -> None:
+        """Cancel the goal for ``reason``: end it if it still waits, otherwise cancel its body."""
+        self._user.server.evict(self.goal, reason)
+
+
+class SlotUser:
+    """Gives the goals of one server places in a slot.
+
+    Args:
+        server: The server.
+        slot: The slot, which several servers may share.
+
+    Attributes:
+        server: The server, as passed to the constructor.
+    """
+
+    def __init__(self, server: LocalActionServer, slot: Slot[PlaceRequest]) -> None:
+        self.server = server
+        self._slot = server.slot = slot
+        self._begin, server.begin = server.begin, self.begin
+        self._retire, server.retire = server.retire, self.retire
+        self._is_closed = False
+        self._aclose, server.aclose = server.aclose, self.aclose
+
+    def begin(self, goal: Goal) -> None:
+        """Request a place for a goal: the goal starts, waits or is rejected."""
+        request = PlaceRequest(self, goal)
+        verdict = self._slot.enter(request)
+        if verdict.decision is Decision.REJECT:
+            self.server.table.forget(goal)
+            raise GoalRejected(verdict.reason)
+        if verdict.decision is Decision.START:
+            self._begin(goal)
+            return
+        goal.body = request
+        self.server.show(goal)
+        if goal.is_ending:  # an observer has cancelled it
+            return
+        for each in (verdict.displaced, *verdict.evicted):
+            if each is not None:
+                each.evict(verdict.reason)
+
+    def start(self, request: PlaceRequest) -> None:
+        """Start a goal that has waited for its place."""
+        if request.goal.body is request and not self._is_closed:
+            request.goal.body = None
+            self.server.start(request.goal, request.context)
+
+    def retire(self, goal: Goal) -> None:
+        """Let a goal go, and start the goal that gets its place."""
+        self._retire(goal)
+        if self._is_closed:  # no goal gets a place any more
+            return
+        following, overdue = self._slot.leave(goal), self._slot.overdue()
+        if overdue is not None:
+            for each in overdue.evicted:
+                each.evict(overdue.reason)
+        # The next goal gets the place before observers hear of the end, but starts only later: it
+        # must not run inside the step of the body that has just ended.
+        if following is not None:
+            self.server.tasks.call_soon(following.start)
+
+    async def aclose(self) -> None:
+        """Close the server, and give no places from then on."""
+        await self._aclose()
+        self._is_closed = True

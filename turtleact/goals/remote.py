@@ -21,15 +21,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from contextvars import copy_context
-from functools import partial
 from typing import Any, Final, cast
 
 import anyio
 import msgspec
 
 from turtleact.errors import (
-    STOPS,
     GoalRejected,
     ServerUnavailable,
     ServiceTimeout,
@@ -165,11 +162,8 @@ class RemoteActionServer:
         goal_id = request.goal_id or new_goal_id()
         if goal_id in self._by_id:
             raise GoalRejected(f"the server still holds a goal with the id {goal_id.hex()}")
-        on_feedback = request.on_feedback
-        if on_feedback is not None:  # runs in the sender's context, not the topic's
-            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         self._open()
-        goal = self._new_goal(goal_id, message, on_feedback)
+        goal = self._new_goal(goal_id, message, request.on_feedback)
         goal.parent, goal.sender = CURRENT_GOAL.get(), request.sender
         self._follow_in_task(RemoteGoal(goal, reattach=request.reattach))
         return goal
@@ -461,13 +455,7 @@ class RemoteActionServer:
         if remote.is_observed:
             self._observers.feedback_published(goal, feedback)
         if log.on_feedback is not None:
-            try:
-                log.on_feedback(feedback)
-            except STOPS:
-                raise
-            except BaseException as error:  # also a stray cancellation
-                problem = "the feedback_callback of a goal of %s failed (goal %s)"
-                logger.error(problem, self._endpoints.name, goal.hex, exc_info=error)
+            log.on_feedback(feedback)
         goal.changed.fire()
 
     # states

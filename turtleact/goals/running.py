@@ -23,11 +23,9 @@ import math
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
 from time import monotonic
-from types import CoroutineType
 from typing import Any, Final, Generic, Self, TypeAlias, TypeVar, cast
 
 from turtleact.errors import (
-    CUT_OFF,
     STOPPED,
     Abort,
     Cancel,
@@ -102,7 +100,7 @@ class BodyRunner:
         if goal.status is GoalStatus.ACCEPTED:
             server.move(goal, _EXECUTE)
         if goal.status is _CANCELING or goal.reason:
-            self.end_canceled(goal)
+            server.end_canceled(goal)
         if goal.is_ending:
             return
         if server.observers.want_bodies:
@@ -159,7 +157,7 @@ class BodyRunner:
     def _fail(self, goal: Goal, error: BaseException) -> None:
         server, canceling = self.server, goal.status is _CANCELING
         if is_cancellation(error, self._tasks):
-            self.end_canceled(goal)
+            server.end_canceled(goal)
             # The traceback leads to the frames that have thrown the cancellation in, and they refer
             # to the cancellation: a cycle for each goal, which only the garbage collector frees.
             error.__traceback__ = None
@@ -177,16 +175,6 @@ class BodyRunner:
             if server.observers.are_any:
                 server.observers.noted(goal, BodyFailed(error))
             server.end(goal, GoalEvent.ABORT, None, summary(error))
-
-    def end_canceled(self, goal: Goal) -> None:
-        """End a goal whose body was cancelled or has not started.
-
-        The goal ends CANCELED if a client has canceled the goal, otherwise ABORTED.
-        """
-        if goal.status is _CANCELING:
-            self.server.end(goal, GoalEvent.CANCELED, None, "")
-        else:
-            self.server.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 
     def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
         """End a goal with the result that its body's exception carries.
@@ -247,16 +235,14 @@ class BodyTask(Coroutine[object, object, None]):
         source: The coroutine or generator that the user's function returned; None until the
             function has been called.
         gate: What the body awaits before its next step; None if the body may go on.
-        children: The goals that the body has sent, each with its server. Goals that have ended may
-            be among them.
+        children: The goals that the body has sent, each with its server. Those that have ended are
+            left out when the body sends the next one.
         on_child: Called with each goal that the body sends, and the goal's server.
-        has_begun: Whether the body has taken its first step.
     """
 
     __slots__ = (
         "_is_cancel_due",
         "_is_dropped",
-        "_prune_at",
         "_steps",
         "_task",
         "children",
@@ -278,7 +264,6 @@ class BodyTask(Coroutine[object, object, None]):
         self._task: Cancelable | None = None
         self._is_cancel_due = False
         self._is_dropped = False
-        self._prune_at = 16
 
     def start(self, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context."""
@@ -305,17 +290,10 @@ class BodyTask(Coroutine[object, object, None]):
 
     def add_child(self, goal: Goal, server: GoalServer) -> None:
         """Note a goal that this body has sent."""
-        if len(self.children) >= self._prune_at:
-            self.children = {goal: each for goal, each in self.children.items() if not goal.ended}
-            self._prune_at = 2 * len(self.children) + 16
+        self.children = {each: its for each, its in self.children.items() if not each.ended}
         self.children[goal] = server
         if self.on_child is not None:
             self.on_child(goal, server)
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether the body has taken its first step."""
-        return self._steps is not None
 
     @property
     def position(self) -> str:
@@ -373,11 +351,7 @@ class BodyTask(Coroutine[object, object, None]):
         server, goal = self.runner.server, self.goal
         body = server.spec.body
         self.source = body.call(goal.request, lambda: server.make_handle(goal))
-        if body.is_generator:
-            return self._drive(self.source)
-        # A decorated function may return another awaitable.
-        is_plain = isinstance(self.source, CoroutineType)
-        return self.source if is_plain else _awaiting(self.source)
+        return self._drive(self.source) if body.is_generator else self.source
 
     async def _open_after_gate(self) -> object:
         """Run the body of a goal that begins paused, once the goal is resumed."""
@@ -431,7 +405,7 @@ class BodyTask(Coroutine[object, object, None]):
 
     def _end_unstarted(self) -> None:
         """End the goal before its body has taken the first step."""
-        self.runner.end_canceled(self.goal)
+        self.runner.server.end_canceled(self.goal)
         self.runner.let_go(self)
 
     def _step(self, resume: Callable[[Any], object], value: object) -> object:
@@ -449,10 +423,6 @@ class BodyTask(Coroutine[object, object, None]):
         if self._is_cancel_due:
             self.cancel()
         return waits_for
-
-
-async def _awaiting(running: Awaitable[object]) -> object:
-    return await running
 
 
 async def _finish(action: str, steps: Steps) -> None:

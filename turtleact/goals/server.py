@@ -18,17 +18,15 @@ Source: rcl_action ``action_server.c``; rclpy ``action/server.py``.
 
 from __future__ import annotations
 
-import logging
 import os
 import uuid
 from collections.abc import Awaitable, Callable, Mapping
-from contextvars import Context, copy_context
-from functools import partial
+from contextvars import Context
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
 
 import anyio
 
-from turtleact.errors import STOPS, GoalRejected, InvalidGoalId, InvalidTransition
+from turtleact.errors import CUT_OFF, GoalRejected, InvalidGoalId, InvalidTransition
 from turtleact.goals.observers import Observers
 from turtleact.goals.state import (
     CURRENT_GOAL,
@@ -63,8 +61,6 @@ __all__ = [
     "new_goal_id",
 ]
 
-
-logger = logging.getLogger("turtleact.server")
 
 # Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
 _ACCEPTED = GoalStatus.ACCEPTED
@@ -337,15 +333,12 @@ class LocalActionServer:
             GoalRejected: if the server is closed.
         """
         self.check_open()
-        on_feedback = request.on_feedback
-        if on_feedback is not None:  # runs in the sender's context, not the body's
-            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         return Goal(
             request.goal_id or new_goal_id(),
             self.check_goal(request.message),
             self.tasks.signal(),
             self.now(),
-            log=FeedbackLog(on_feedback),
+            log=FeedbackLog(request.on_feedback),
             parent=CURRENT_GOAL.get(),
             sender=request.sender,
         )
@@ -418,13 +411,7 @@ class LocalActionServer:
         if log.is_kept:
             goal.changed.fire()
         if log.on_feedback is not None:
-            try:
-                log.on_feedback(message)
-            except STOPS:
-                raise
-            except BaseException as error:  # also a stray cancellation: this body was not cancelled
-                problem = "the feedback_callback of a goal of %s failed (goal %s)"
-                logger.error(problem, self.name, goal.hex, exc_info=error)
+            log.on_feedback(message)
         if self.publisher is not None:
             self.publisher.send(goal, message)
         if self.observers.want_feedback:
@@ -484,6 +471,19 @@ class LocalActionServer:
         elif goal.result is None:
             goal.result = self.result_type()
         self.conclude(goal, event, reason)
+
+    def end_canceled(self, goal: Goal) -> None:
+        """End a goal whose body was cancelled or has not started.
+
+        The goal ends CANCELED if a client has canceled the goal, otherwise ABORTED.
+        """
+        is_canceled = goal.status is _CANCELING
+        if goal.status is _ACCEPTED:
+            self.move(goal, GoalEvent.EXECUTE)
+        if is_canceled:
+            self.end(goal, GoalEvent.CANCELED, None, "")
+        else:
+            self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 
     def _conclude(self, goal: Goal, event: GoalEvent, reason: str) -> None:
         before = goal.status

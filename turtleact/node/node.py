@@ -28,13 +28,12 @@ from turtleact.goals.client import ActionClient
 from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.durable import Restoring
 from turtleact.goals.observers import Hook
-from turtleact.goals.options import open_server
+from turtleact.goals.options import PlaceRequest, open_server
 from turtleact.goals.policies import Slots
 from turtleact.goals.running import GoalHandle
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
 from turtleact.goals.service_server import LocalServiceServer, closed_on_error, service_events
-from turtleact.goals.slots import PlaceRequest
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
