@@ -23,7 +23,7 @@ from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Format
 
-from ..lab import Count, Gate, count, feedback, goal, lab, result, running
+from ..lab import Count, Gate, count, feedback, goal, lab, result, running, settle
 
 IMPLIED = implied(Count)
 LATCHED = QoS(depth=10, durability="transient_local")
