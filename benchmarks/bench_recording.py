@@ -234,7 +234,6 @@ async def record_fast(at: str, path: Path) -> None:
     count, milliseconds = outcome.result.sequence
     bag = recording.Bag(path)
     recorded = sum(each.count for each in bag.info.topics if each.name.endswith("feedback"))
-    bag.close()
     print(
         f"feedback over Zenoh, recorded by another process: {count:,} published, "
         f"{recorded:,} recorded, {recorded / milliseconds * 1000:,.0f} a second, "
@@ -345,7 +344,7 @@ def look_at_a_large_file(folder: Path) -> None:
     inside = []
     for _ in range(5):
         begun = time.perf_counter()
-        recording.Bag(path).close()
+        recording.Bag(path)
         inside.append(time.perf_counter() - begun)
     print(
         f"bag info of {path.stat().st_size / 1e9:.2f} GB: {statistics.median(took):.2f} s as a "

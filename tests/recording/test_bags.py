@@ -33,7 +33,7 @@ from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import Time
 from turtleact.recording import Bag, BagError, read
 from turtleact.recording.bag_writer import BagWriter, Split
-from turtleact.recording.metadata import BagInfo, read_info, read_offers, write_info
+from turtleact.recording.metadata import BagInfo, read_offers
 from turtleact.recording.storage import Range
 from turtleact.transports.base import QoS
 
@@ -54,17 +54,11 @@ POINT_STAMPED = get_message("geometry_msgs/msg/PointStamped")
 
 
 def stamps(path, wanted=None):
-    bag = Bag(path)
-    try:
-        return [each.stamp for each in bag.messages(wanted or Range())]
-    finally:
-        bag.close()
+    return [each.stamp for each in Bag(path).messages(wanted or Range())]
 
 
 def info_of(path) -> BagInfo:
-    bag = Bag(path)
-    bag.close()
-    return bag.info
+    return Bag(path).info
 
 
 # --- round trips ---------------------------------------------------------------------------------
@@ -119,12 +113,9 @@ def test_the_description_is_that_of_the_files(tmp_path):
     described = info_of(path)
     (path / "metadata.yaml").unlink()
     seen = info_of(path)
-    for each in ("files", "start", "duration", "count", "size", "distro", "custom", "is_closed"):
-        assert getattr(described, each) == getattr(seen, each), each
+    assert described == seen
     assert [each.count for each in seen.topics] == [13, 12]
-    assert [each.offers for each in seen.topics] == [each.offers for each in described.topics]
     assert all(each.type_hash.startswith("RIHS01_") for each in seen.topics)
-    assert not any(each.type_hash for each in described.topics)
 
 
 def test_only_what_is_asked_for_is_read(tmp_path):
@@ -224,7 +215,6 @@ def test_an_old_sqlite_file_has_no_definitions(tmp_path):
     bag = Bag(path)
     [raw] = bag.messages(Range())
     assert (raw.channel.schema.name, raw.data) == ("turtlesim/msg/Pose", encode(POSE(x=2.0)))
-    bag.close()
 
 
 def test_a_compressed_bag_is_refused_with_a_way_out(tmp_path):
@@ -283,10 +273,9 @@ def test_what_is_missing_from_a_file_that_is_cut_off_is_logged_once(tmp_path, ca
     assert not caplog.records
     file = path / "run_0.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    bag = Bag(path)  # its metadata.yaml does not show that the file is cut off
+    bag = Bag(path)
     for _ in range(2):
         assert not list(bag.messages(Range()))
-    bag.close()
     [said] = caplog.messages
     assert said == f"bag '{file}': it was not closed, so messages may be missing at its end"
 
@@ -369,7 +358,7 @@ def test_what_is_no_sqlite_file_is_refused(tmp_path, content):
         ("a: !!timestamp foo", "it is not YAML: a value does not fit its tag: "),
         (
             "rosbag2_bagfile_information: {}",
-            "it does not describe a bag: 'starting_time' is missing",
+            "it does not describe a bag: 'relative_file_paths' is missing",
         ),
     ],
 )
@@ -519,24 +508,11 @@ def test_without_room_for_its_head_no_file_is_left(tmp_path, disk):
 # --- descriptions --------------------------------------------------------------------------------
 
 
-def test_a_description_survives_the_way_through_its_text(tmp_path):
-    path = write_bag(tmp_path / "run", 25, Split(max_duration=10 * STEP))
-    text = (path / "metadata.yaml").read_text()
-    assert write_info(read_info(text, path)) == text
-
-
 def test_offers_that_cannot_be_read_are_left_out():
     assert read_offers("[") == read_offers("") == read_offers("3") == read_offers("[1]") == ()
     [offer] = read_offers([{"depth": 0, "deadline": {"sec": 2147483647, "nsec": 4294967295}}])
     assert offer.qos == QoS()
     assert offer.times.deadline is None
-
-
-def test_a_description_with_a_negative_count_is_refused(tmp_path):
-    path = write_bag(tmp_path / "run") / "metadata.yaml"
-    path.write_text(path.read_text().replace("message_count: 10", "message_count: -10"))
-    with pytest.raises(BagError, match="it does not describe a bag: message_count is -10"):
-        Bag(path.parent)
 
 
 def test_a_folder_can_be_moved_and_renamed(tmp_path):
@@ -594,8 +570,6 @@ def test_a_damaged_file_gives_messages_or_says_what_is_wrong(file, place, put, c
             said = str(error)
         else:
             said = "is damaged"
-        finally:
-            bag.close()
     assert "is damaged" in said
 
 

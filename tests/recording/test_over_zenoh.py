@@ -138,4 +138,3 @@ async def test_a_type_that_the_recorder_does_not_know_is_recorded_as_bytes(tmp_p
     [channel] = bag.channels()
     assert channel.schema.text == ""
     assert channel.type_hash.startswith("RIHS01_")
-    bag.close()

@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import closing, suppress
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -327,8 +327,7 @@ def convert(
     from turtleact.recording.bag_writer import Split
 
     inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
-    with closing(Bag(inputs[0])) as bag:
-        start = bag.info.start + round(offset * 1e9)
+    start = Bag(inputs[0]).info.start + round(offset * 1e9)
     split = Split(
         max_size=max_size,
         max_duration=round(max_duration * 1e9),
@@ -482,8 +481,9 @@ def _sum_up_recording(recording: Recording) -> None:
         return
     told, missing = counted(recording.count, "message"), ""
     if recording.error is None:
-        with suppress(BagError), closing(Bag(recording.path)) as bag:
-            told, missing = messages_told(bag.info), missing_goals(bag.info)
+        with suppress(BagError):
+            info = Bag(recording.path).info
+            told, missing = messages_told(info), missing_goals(info)
     note(f"{told} recorded in {recording.path}")
     if missing:
         note(f"missing: {missing}")
@@ -505,8 +505,7 @@ def _play(
     from turtleact.commands.bag_contents import messages_told
     from turtleact.recording.metadata import read_qos_overrides
 
-    with closing(recording.Bag(path)) as bag:
-        info = bag.info
+    info = recording.Bag(path).info
     qos = {} if overrides is None else read_qos_overrides(overrides)
 
     async def play_on(node: Node) -> int:

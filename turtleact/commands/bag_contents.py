@@ -12,7 +12,6 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -49,21 +48,17 @@ def print_info(path: Path, *, verbose: bool, names_only: bool) -> None:
     With ``verbose``, requests and responses are counted separately. With ``names_only``, only the
     names of the topics are printed.
 
-    If a file is cut off or damaged, a log message says what is missing.
-
     Raises:
         BagError: if there is no bag, or one of its files cannot be opened.
     """
-    with closing(Bag(path)) as bag:
-        info = bag.info
-        if names_only:
-            say_names("".join(f"{name}\n" for name in sorted({each.name for each in info.topics})))
-            return
-        reading = _Reading(bag) if verbose else None
-        lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
-        say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(info)]))
-        if info.is_closed:  # metadata.yaml does not show that a file was cut off later
-            bag.check()
+    bag = Bag(path)
+    info = bag.info
+    if names_only:
+        say_names("".join(f"{name}\n" for name in sorted({each.name for each in info.topics})))
+        return
+    reading = _Reading(bag) if verbose else None
+    lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
+    say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(info)]))
 
 
 def print_goals(path: Path, name: str | None, *, as_json: bool) -> None:

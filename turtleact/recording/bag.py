@@ -1,7 +1,7 @@
 """Reads a bag, which is a folder with ``metadata.yaml`` and files, or a single file.
 
-A file is opened when its messages are read. But if ``metadata.yaml`` is missing, because the
-recorder was killed, all files are opened at once to find out what they contain.
+What a bag has is read from its files. ``metadata.yaml`` only says which files they are, in which
+order. If it is missing, because the recorder was killed, the files have the order of their numbers.
 
 Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.cpp``.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import AsyncGenerator, Callable, Collection, Iterator
+from collections.abc import AsyncGenerator, Callable, Collection, Iterable, Iterator
 from contextlib import aclosing
 from itertools import islice
 from pathlib import Path
@@ -22,13 +22,13 @@ from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Message
 from turtleact.recording.metadata import (
     METADATA,
-    ROOT,
     BagError,
     BagFile,
     BagInfo,
     BagTopic,
-    read_info,
-    span,
+    Description,
+    read_description,
+    read_embedded,
 )
 from turtleact.recording.schemas import Schema, class_of
 from turtleact.recording.storage import BagStorage, Channel, McapFile, Range, Raw, SqliteFile
@@ -83,143 +83,87 @@ class Bag:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._open: dict[Path, BagStorage] = {}
-        self._told: set[Path] = set()
-        try:
-            self.info = self._look()
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        """Close the bag's files."""
-        while self._open:
-            self._open.popitem()[1].close()
+        paths, said = self._find()
+        self._storages = [_open(each) for each in paths]
+        self._flawed = [each for each in self._storages if each.flaw]
+        self.info = self._look(said)
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
         """Yield the wanted messages, ordered by stamp within each file.
 
-        If a file is cut off or damaged so that messages are missing, a warning is logged.
+        If a file is cut off or damaged so that messages are missing, a warning is logged once.
 
         Raises:
             BagError: if damaged messages prevent further reading.
         """
-        for file in self.info.files:
-            is_outside = file.count and (
-                file.start + file.duration < wanted.start
-                or (wanted.end is not None and file.start > wanted.end)
-            )
-            if not is_outside:
-                storage = self.storage(file.path)
-                self._tell(storage)
+        while self._flawed:
+            flawed = self._flawed.pop(0)
+            logger.warning("bag '%s': %s", flawed.path, flawed.flaw)
+        for storage in self._storages:
+            if storage.end >= wanted.start and (wanted.end is None or storage.start <= wanted.end):
                 yield from storage.messages(wanted)
-
-    def check(self) -> None:
-        """Open each file, and log what is missing from it.
-
-        SQLite files are not checked, because they show damage only when their messages are read.
-        """
-        if self.info.storage == "sqlite3":
-            return
-        for file in self.info.files:
-            storage = self.storage(file.path)
-            self._tell(storage)
-            del self._open[storage.path]  # a bag may have more files than may be open at once
-            storage.close()
-
-    def storage(self, name: str) -> BagStorage:
-        """Return one of the bag's files, open for reading."""
-        path = self.path / name if self.path.is_dir() else self.path
-        if path not in self._open:
-            self._open[path] = _open(path)
-        return self._open[path]
 
     def channels(self) -> list[Channel]:
         """Return the topics of all files, with their schemas."""
         found = dict[tuple[str, str], Channel]()
-        for file in self.info.files:
-            for channel in self.storage(file.path).channels.values():
+        for storage in self._storages:
+            for channel in storage.channels.values():
                 found.setdefault((channel.topic, channel.schema.name), channel)
         return list(found.values())
 
-    def _tell(self, storage: BagStorage) -> None:
-        """Log what is missing from a file, unless this was logged before."""
-        if storage.flaw and storage.path not in self._told:
-            self._told.add(storage.path)
-            logger.warning("bag '%s': %s", storage.path, storage.flaw)
-
-    def _look(self) -> BagInfo:
+    def _find(self) -> tuple[list[Path], Description | None]:
+        """Return the bag's files, and what ``metadata.yaml`` says about them."""
         if not self.path.exists():
             raise BagError(self.path, "it does not exist")
         if not self.path.is_dir():
-            return self._from_files([self.path])
+            return [self.path], None
         described = self.path / METADATA
         if described.exists():
-            if not described.is_file():
-                raise BagError(described, "it is not a regular file")
-            try:
-                info = read_info(described.read_text(encoding="utf-8"), described)
-            except (OSError, UnicodeDecodeError) as error:
-                raise BagError(described, f"it cannot be read: {error}") from error
-            return self._checked(info)
-        files = sorted(
-            (each for each in self.path.iterdir() if each.suffix in SUFFIXES), key=_by_number
-        )
+            return self._described(described)
+        found = (each for each in self.path.iterdir() if each.suffix in SUFFIXES)
+        files = sorted(found, key=_by_number)
         if not files:
             raise BagError(self.path, "it has neither metadata.yaml nor files of a bag")
-        return self._from_files(files)
+        return files, None
 
-    def _checked(self, info: BagInfo) -> BagInfo:
-        """Check the description from ``metadata.yaml``, and add the total size of the files.
+    def _described(self, path: Path) -> tuple[list[Path], Description]:
+        """Read ``metadata.yaml``.
 
         Raises:
             BagError: if a file is missing, or if rosbag2 has compressed whole files or messages.
         """
-        if info.compression:
+        if not path.is_file():
+            raise BagError(path, "it is not a regular file")
+        try:
+            said = read_description(path.read_text(encoding="utf-8"), path)
+        except (OSError, UnicodeDecodeError) as error:
+            raise BagError(path, f"it cannot be read: {error}") from error
+        if said.compression:
             hint = "'ros2 bag convert' can write it without"
-            raise BagError(self.path, f"its {info.compression}s are compressed: {hint}")
-        # Before version 4, paths began with the folder's own name.
-        names = [each.path.rpartition("/")[2] for each in info.files]
-        missing = [each for each in names if not (self.path / each).is_file()]
+            raise BagError(self.path, f"its {said.compression}s are compressed: {hint}")
+        missing = [each for each in said.files if not (self.path / each).is_file()]
         if missing:
             raise BagError(self.path, f"{', '.join(missing)} is missing; metadata.yaml names it")
-        sizes = [(self.path / each).stat().st_size for each in names]
-        files = tuple(
-            msgspec.structs.replace(each, path=name)
-            for each, name in zip(info.files, names, strict=True)
-        )
-        return msgspec.structs.replace(info, files=files, size=sum(sizes))
+        return [self.path / each for each in said.files], said
 
-    def _from_files(self, paths: list[Path]) -> BagInfo:
-        files, topics, about = list[BagFile](), dict[tuple[str, str], BagTopic](), ""
-        is_closed = True
-        for path in paths:
-            storage = self._open[path] = _open(path)
-            count = sum(storage.counts.values())
-            files.append(
-                BagFile(
-                    path=path.name,
-                    start=storage.start,
-                    duration=storage.end - storage.start,
-                    count=count,
-                )
-            )
-            _add_topics(storage, topics)
-            about = storage.about or about
-            is_closed &= storage.is_closed
-        start, duration = span(files)
-        inside = _described(about, paths[-1])
+    def _look(self, said: Description | None) -> BagInfo:
+        """Return what the files say, and what ``metadata.yaml`` says, about the bag."""
+        storages = self._storages
+        filled = [each for each in storages if each.counts.total()]
+        start = min((each.start for each in filled), default=0)
+        inside = next((each.about for each in reversed(storages) if each.about), "")
+        said = said or read_embedded(inside)
         return BagInfo(
-            files=tuple(files),
-            topics=tuple(topics.values()),
-            storage=SUFFIXES[paths[0].suffix],
+            files=tuple(map(_file, storages)),
+            topics=_topics(storages),
+            storage=SUFFIXES.get(storages[0].path.suffix, "mcap") if storages else "mcap",
             start=start,
-            duration=duration,
-            count=sum(file.count for file in files),
-            size=sum(path.stat().st_size for path in paths),
-            distro=inside.distro,
-            custom=inside.custom,
-            is_closed=is_closed,
+            duration=max((each.end for each in filled), default=0) - start,
+            count=sum(each.counts.total() for each in storages),
+            size=sum(each.path.stat().st_size for each in storages),
+            distro=said.distro,
+            custom=said.custom,
+            is_closed=all(each.is_closed for each in storages),
         )
 
 
@@ -227,7 +171,7 @@ class Reading:
     """Reads the messages of a bag in a thread, and decodes them in the event loop.
 
     Args:
-        bag: The bag. The caller must close it.
+        bag: The bag.
         wanted: Which messages to read.
         is_decoded: Whether to decode the messages.
     """
@@ -306,13 +250,10 @@ async def read(
 
     wants = None if topics is None else frozenset(topics).__contains__
     bag = await anyio.to_thread.run_sync(Bag, path)
-    try:
-        async with aclosing(Reading(bag, Range(start, end, wants)).batches()) as batches:
-            async for batch in batches:
-                for message in batch:
-                    yield message
-    finally:
-        bag.close()
+    async with aclosing(Reading(bag, Range(start, end, wants)).batches()) as batches:
+        async for batch in batches:
+            for message in batch:
+                yield message
 
 
 def _open(path: Path) -> BagStorage:
@@ -329,26 +270,28 @@ def _by_number(path: Path) -> tuple[int, str]:
     return (int(found[1]) if found else 0, path.name)
 
 
-def _add_topics(storage: BagStorage, topics: dict[tuple[str, str], BagTopic]) -> None:
-    """Add the topics of a file to the topics of the bag."""
-    for number, channel in storage.channels.items():
-        key = (channel.topic, channel.schema.name)
-        held = topics.get(key)
-        count = storage.counts.get(number, 0) + (held.count if held else 0)
-        topics[key] = BagTopic(
-            name=channel.topic,
-            type_name=channel.schema.name,
-            count=count,
-            offers=channel.offers,
-            type_hash=channel.type_hash,
-            format=channel.format,
-        )
+def _file(storage: BagStorage) -> BagFile:
+    return BagFile(
+        path=storage.path.name,
+        start=storage.start,
+        duration=storage.end - storage.start,
+        count=storage.counts.total(),
+    )
 
 
-def _described(about: str, path: Path) -> BagInfo:
-    """Parse ``about``, a description of the bag; return an empty `BagInfo` if it is invalid."""
-    indented = "".join(f"  {line}\n" for line in about.splitlines())
-    try:
-        return read_info(f"{ROOT}:\n{indented}", path)
-    except BagError:
-        return BagInfo()
+def _topics(storages: Iterable[BagStorage]) -> tuple[BagTopic, ...]:
+    """Return the topics of all files together, in the order in which they were first seen."""
+    topics = dict[tuple[str, str], BagTopic]()
+    for storage in storages:
+        for number, channel in storage.channels.items():
+            key = (channel.topic, channel.schema.name)
+            before = topics[key].count if key in topics else 0
+            topics[key] = BagTopic(
+                name=channel.topic,
+                type_name=channel.schema.name,
+                count=before + storage.counts[number],
+                offers=channel.offers,
+                type_hash=channel.type_hash,
+                format=channel.format,
+            )
+    return tuple(topics.values())

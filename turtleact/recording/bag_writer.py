@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections import Counter
 from collections.abc import Mapping
 from io import FileIO
 from pathlib import Path
@@ -24,16 +23,14 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 from mcap.writer import CompressionType, Writer
 
+from turtleact.recording.bag import Bag
 from turtleact.recording.metadata import (
     ABOUT,
     METADATA,
     BagError,
-    BagFile,
     BagInfo,
-    BagTopic,
     embedded,
     offers_text,
-    span,
     write_info,
 )
 from turtleact.recording.schemas import Schema
@@ -94,8 +91,7 @@ class BagWriter:
         self._about: dict[int, dict[str, str]] = {}  # as every file describes the channels
         self._numbers: dict[int, int] = {}  # channels as the current file numbers them
         self._head = embedded(BagInfo(distro=DISTRO))
-        self._total: Counter[int] = Counter()
-        self._files: list[BagFile] = []
+        self._closed = 0  # how many files of the folder are written
         self._file = self._create()
 
     @property
@@ -123,7 +119,6 @@ class BagWriter:
         """
         if self._is_time_to_split(stamp):
             self._begin_another()
-        self._total[number] += 1
         self._file.add(self._numbers[number], stamp, sent, data)
 
     def flush(self) -> None:
@@ -146,10 +141,9 @@ class BagWriter:
             OSError: if something could not be written, or the folder was deleted.
         """
         custom = {f"lost:{topic}": str(count) for topic, count in lost.items()}
-        if self._file.close(embedded(BagInfo(distro=DISTRO, custom=custom))):
-            self._files.append(self._file.described)
-            if not self._is_single:
-                self._describe(custom)
+        is_whole = self._file.close(embedded(BagInfo(distro=DISTRO, custom=custom)))
+        if is_whole and not self._is_single:
+            self._describe()
 
     # files
 
@@ -178,13 +172,13 @@ class BagWriter:
     def _begin(self) -> _McapFile:
         path = self.path
         if not self._is_single:
-            path = path / f"{path.name}_{len(self._files)}.mcap"
+            path = path / f"{path.name}_{self._closed}.mcap"
         return _McapFile(path, self._split.compression, self._head)
 
     def _begin_another(self) -> None:
         """Close the current file and begin another."""
         self._file.close(self._head)
-        self._files.append(self._file.described)
+        self._closed += 1
         self._file = self._begin()
         for each in self._channels:
             self._register(each)
@@ -202,27 +196,9 @@ class BagWriter:
             or (split.max_duration and stamp - file.first >= split.max_duration)
         )
 
-    def _describe(self, custom: Mapping[str, str]) -> None:
-        """Write ``metadata.yaml``, completely or not at all."""
-        start, duration = span(self._files)
-        topics = [
-            BagTopic(
-                name=channel.topic,
-                type_name=channel.schema.name,
-                count=self._total[number],
-                offers=channel.offers,
-            )
-            for number, channel in self._channels.items()
-        ]
-        info = BagInfo(
-            files=tuple(self._files),
-            topics=tuple(topics),
-            start=start,
-            duration=duration,
-            count=self._total.total(),
-            distro=DISTRO,
-            custom=custom,
-        )
+    def _describe(self) -> None:
+        """Write ``metadata.yaml``, completely or not at all, from what the files say."""
+        info = Bag(self.path).info
         draft = self.path / f".{METADATA}"
         try:
             draft.write_text(write_info(info), encoding="utf-8", newline="\n")
@@ -245,8 +221,6 @@ class _McapFile:
 
     def __init__(self, path: Path, compression: Compression, about: str) -> None:
         self.first = self.count = self.waiting = 0
-        self._start = self._end = 0
-        self._path = path
         self._file: FileIO = path.open("xb", buffering=0)
         # `flush` alone ends a chunk, so that it knows which messages are on disk.
         kind = CompressionType.NONE if compression == "none" else CompressionType.ZSTD
@@ -266,12 +240,6 @@ class _McapFile:
         """The size of the file (bytes) if the current chunk were written without compression."""
         return self._written + self._chunk_size
 
-    @property
-    def described(self) -> BagFile:
-        """The row of the file in ``metadata.yaml``."""
-        duration = self._end - self._start
-        return BagFile(path=self._path.name, start=self._start, duration=duration, count=self.count)
-
     def add_channel(self, channel: Channel, about: dict[str, str]) -> int:
         """Add a topic and return its number in the file."""
         schema = channel.schema
@@ -284,9 +252,7 @@ class _McapFile:
     def add(self, channel: int, stamp: int, sent: int, data: bytes) -> None:
         """Add a message, and write the chunk if it is full."""
         if not self.count:
-            self.first = self._start = stamp
-        self._start = min(stamp, self._start)
-        self._end = max(stamp, self._end)
+            self.first = stamp
         self._writer.add_message(channel, stamp, data, sent)
         self.count += 1
         self.waiting += 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 import heapq
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 
@@ -64,24 +64,22 @@ def convert(
     Raises:
         BagError: if a bag cannot be read or written.
     """
-    with ExitStack() as stack:
-        bags = [stack.enter_context(closing(Bag(path))) for path in inputs]
-        wanted = _range(outputs)
-        merged = heapq.merge(*(bag.messages(wanted) for bag in bags), key=attrgetter("stamp"))
-        writers: list[_Writing] = []
-        try:
-            writers.extend(map(_Writing, outputs))  # if one raises, those before it are in the list
-            for count, raw in enumerate(merged):
-                if not count % CHECK and not goes_on():
-                    break
-                for writer in writers:
-                    writer.take(raw)
+    wanted = _range(outputs)
+    found = [Bag(path).messages(wanted) for path in inputs]
+    writers: list[_Writing] = []
+    try:
+        writers.extend(map(_Writing, outputs))  # if one raises, those before it are in the list
+        for count, raw in enumerate(heapq.merge(*found, key=attrgetter("stamp"))):
+            if not count % CHECK and not goes_on():
+                break
             for writer in writers:
-                writer.close()
-        except BaseException:
-            for writer in writers:
-                writer.discard()
-            raise
+                writer.take(raw)
+        for writer in writers:
+            writer.close()
+    except BaseException:
+        for writer in writers:
+            writer.discard()
+        raise
     return [writer.count for writer in writers]
 
 

@@ -28,14 +28,15 @@ __all__ = [
     "BagFile",
     "BagInfo",
     "BagTopic",
+    "Description",
     "Offer",
     "embedded",
     "offers_text",
-    "read_info",
+    "read_description",
+    "read_embedded",
     "read_offers",
     "read_qos_overrides",
     "read_yaml",
-    "span",
     "write_info",
 ]
 
@@ -126,9 +127,6 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
         size: The size of all files (bytes).
         distro: The name of the ROS distribution or of the program that recorded the bag.
         custom: Texts that the recorder added, by their names.
-        compression: What rosbag2 has compressed: ``"file"`` (whole files) or ``"message"`` (each
-            message); otherwise empty. It is also empty if only the chunks inside a file are
-            compressed.
         is_closed: Whether the recorder closed every file. A recorder that is killed, or that finds
             the disk full, does not close its last file.
     """
@@ -142,8 +140,25 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
     size: int = 0
     distro: str = ""
     custom: Mapping[str, str] = {}
-    compression: str = ""
     is_closed: bool = True
+
+
+class Description(msgspec.Struct, frozen=True, kw_only=True):
+    """What only the text that describes a bag says; the files say the rest.
+
+    Attributes:
+        files: The names of the files, in the order of their messages.
+        compression: What rosbag2 has compressed: ``"file"`` (whole files) or ``"message"`` (each
+            message); otherwise empty. It is also empty if only the chunks inside a file are
+            compressed.
+        distro: The name of the ROS distribution or of the program that recorded the bag.
+        custom: Texts that the recorder added, by their names.
+    """
+
+    files: tuple[str, ...] = ()
+    compression: str = ""
+    distro: str = ""
+    custom: Mapping[str, str] = {}
 
 
 def read_yaml(text: str) -> object:
@@ -166,18 +181,6 @@ def read_yaml(text: str) -> object:
     return value
 
 
-def span(files: Iterable[BagFile]) -> tuple[int, int]:
-    """Return when all files together begin (ns since 1970), and how long they last (ns).
-
-    Files without messages are ignored.
-    """
-    filled = [each for each in files if each.count]
-    if not filled:
-        return 0, 0
-    start = min(each.start for each in filled)
-    return start, max(each.start + each.duration for each in filled) - start
-
-
 def write_info(info: BagInfo) -> str:
     """Return the text of ``metadata.yaml``."""
     return _dump({ROOT: _described(info)})
@@ -188,10 +191,8 @@ def embedded(info: BagInfo) -> str:
     return _dump(_described(info))
 
 
-def read_info(text: str, path: Path) -> BagInfo:
+def read_description(text: str, path: Path) -> Description:
     """Parse the text of ``metadata.yaml``.
-
-    The text does not contain the size of the files, so ``size`` is 0.
 
     Raises:
         BagError: if ``text`` is not a valid ``metadata.yaml``.
@@ -204,10 +205,18 @@ def read_info(text: str, path: Path) -> BagInfo:
     if not isinstance(said, dict) or not isinstance(said.get(ROOT), dict):
         raise BagError(path, f"it has no '{ROOT}' with the description of a bag; {hint}")
     try:
-        return _info(said[ROOT])
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        return _description(said[ROOT])
+    except (AttributeError, LookupError, TypeError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise BagError(path, f"it does not describe a bag: {what}; {hint}") from error
+
+
+def read_embedded(text: str) -> Description:
+    """Parse the description in an MCAP file; return an empty one if it is missing or invalid."""
+    try:
+        return _description(read_yaml(text))
+    except (AttributeError, LookupError, TypeError, ValueError):
+        return Description()
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
@@ -331,63 +340,18 @@ def _described(info: BagInfo) -> dict[str, object]:
     }
 
 
-def _info(said: dict[str, Any]) -> BagInfo:
-    """Build the description of a bag from the parsed ``metadata.yaml``.
+def _description(said: Any) -> Description:  # noqa: ANN401  # parsed YAML
+    """Read the parsed description of a bag.
 
-    A missing or wrong value raises KeyError, TypeError, ValueError or AttributeError.
+    A missing or wrong value raises LookupError, TypeError or AttributeError.
     """
-    start, duration = (
-        int(said["starting_time"]["nanoseconds_since_epoch"]),
-        int(said["duration"]["nanoseconds"]),
-    )
-    count = _count(said)
-    paths = [str(each) for each in said["relative_file_paths"]]
-    files = {str(each["path"]): _file(each) for each in said.get("files") or ()}
-    alone = BagFile(path="", start=start, duration=duration, count=count)
-    custom = {str(key): str(value) for key, value in (said.get("custom_data") or {}).items()}
-    return BagInfo(
-        files=tuple(files.get(path) or msgspec.structs.replace(alone, path=path) for path in paths),
-        topics=tuple(_topic(each) for each in said["topics_with_message_count"] or ()),
-        storage=str(said["storage_identifier"]),
-        start=start if count else 0,
-        duration=duration,
-        count=count,
-        distro=str(said.get("ros_distro") or ""),
-        custom=custom,
-        compression=_compression(said),
-    )
-
-
-def _count(said: dict[str, Any]) -> int:
-    count = int(said["message_count"])
-    if count < 0:
-        raise ValueError(f"message_count is {count}")
-    return count
-
-
-def _compression(said: dict[str, Any]) -> str:
     mode = str(said.get("compression_mode") or "").lower()
-    return "" if mode == "none" else mode
-
-
-def _file(said: dict[str, Any]) -> BagFile:
-    return BagFile(
-        path=str(said["path"]),
-        start=int(said["starting_time"]["nanoseconds_since_epoch"]),
-        duration=int(said["duration"]["nanoseconds"]),
-        count=_count(said),
-    )
-
-
-def _topic(said: dict[str, Any]) -> BagTopic:
-    about = said["topic_metadata"]
-    return BagTopic(
-        name=str(about["name"]),
-        type_name=str(about["type"]),
-        count=_count(said),
-        offers=read_offers(about.get("offered_qos_profiles") or ()),
-        type_hash=str(about.get("type_description_hash") or ""),
-        format=str(about["serialization_format"]),
+    return Description(
+        # Before version 4, paths began with the folder's own name.
+        files=tuple(str(each).rpartition("/")[2] for each in said["relative_file_paths"]),
+        compression="" if mode == "none" else mode,
+        distro=str(said.get("ros_distro") or ""),
+        custom={str(key): str(value) for key, value in (said.get("custom_data") or {}).items()},
     )
 
 

@@ -144,7 +144,6 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
     finally:
         with anyio.CancelScope(shield=True):
             await player.aclose()
-        bag.close()
     if failure is not None:
         raise failure
     return player.played

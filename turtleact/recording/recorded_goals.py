@@ -112,11 +112,7 @@ async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> 
         BagError: if there is no bag at ``path``, or if the bag is damaged.
     """
     wanted = Selection(actions=frozenset(actions or ()), all_actions=actions is None)
-    bag = await anyio.to_thread.run_sync(Bag, path)
-    try:
-        return await goals_in(bag, wanted)
-    finally:
-        bag.close()
+    return await goals_in(await anyio.to_thread.run_sync(Bag, path), wanted)
 
 
 async def goals_in(bag: Bag, wanted: Selection) -> list[RecordedGoal]:

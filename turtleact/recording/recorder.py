@@ -9,7 +9,6 @@ results, and `turtleact bag info` says so.
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -125,10 +124,8 @@ class Recording:
         problem = self._thread.error
         if problem is None:
             return None
-        if isinstance(problem, FileNotFoundError) and problem.filename is not None:
-            return BagError(
-                Path(os.fsdecode(problem.filename)), problem.strerror or "it is missing"
-            )
+        if isinstance(problem, BagError):
+            return problem
         reason = getattr(problem, "strerror", None) or problem
         what = f"it cannot be written any more: {reason}"
         return BagError(self.path, f"{what}; what was recorded until then can be read")

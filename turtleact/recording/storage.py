@@ -14,17 +14,19 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple, Protocol
+from typing import BinaryIO, Final, NamedTuple
 from urllib.parse import quote
 
 import msgspec
 from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import SeekingReader
 from mcap.records import Channel as ChannelRecord
-from mcap.records import McapRecord, Message, Metadata
+from mcap.records import McapRecord, Message, Metadata, Statistics
 from mcap.records import Schema as SchemaRecord
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
@@ -116,11 +118,13 @@ def in_nanoseconds(option: str, seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-class BagStorage(Protocol):
-    """A file of a bag, open for reading.
+class BagStorage(ABC):
+    """What a file of a bag has. The file is open only while its messages are read.
 
     Attributes:
         path: The file.
+        channels: The topics in the file, by their numbers.
+        counts: How many messages each topic has, by the topic's number.
         start: The time of the earliest message (ns since 1970); 0 if there is none.
         end: The time of the latest message (ns since 1970); 0 if there is none.
         is_closed: Whether the recorder closed the file.
@@ -128,30 +132,22 @@ class BagStorage(Protocol):
         flaw: What is missing because the file is cut off or damaged; empty if nothing is missing.
     """
 
-    path: Path
-    start: int
-    end: int
-    is_closed: bool
-    about: str
-    flaw: str
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.start = self.end = 0
+        self.is_closed = True
+        self.about = ""
+        self.flaw = ""
 
-    @property
-    def channels(self) -> Mapping[int, Channel]:
-        """The topics in the file, by their numbers."""
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """How many messages each topic has, by the topic's number."""
-
+    @abstractmethod
     def messages(self, wanted: Range) -> Iterator[Raw]:
         """Yield the messages that ``wanted`` selects, ordered by stamp.
 
         Raises:
             BagError: if a part of the file is damaged.
         """
-
-    def close(self) -> None:
-        """Close the file."""
 
 
 _DAMAGED: Final = (
@@ -167,8 +163,11 @@ _REST: Final = (
 """The advice for a damaged chunk."""
 
 
-class McapFile:
-    """An MCAP file, open for reading; see `turtleact.recording.storage.BagStorage`.
+class McapFile(BagStorage):
+    """An MCAP file.
+
+    Its messages are ordered by stamp if the file has an index. Messages with the same stamp keep
+    their order in the file.
 
     Args:
         path: The file.
@@ -178,54 +177,33 @@ class McapFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.counts: Counter[int] = Counter()
-        self.start = self.end = 0
-        self.is_closed = True
-        self.about = ""
-        self.flaw = ""
+        super().__init__(path)
         self._schemas: dict[int, Schema] = {}
-        try:
-            self._file: BinaryIO = path.open("rb")
-        except OSError as error:
-            raise BagError(path, f"it cannot be opened: {error.strerror}") from error
-        try:
-            self._reader = self._indexed_reader()
-        except BaseException:
-            self._file.close()
-            raise
-        if self._reader is None:
+        self._has_index = self._read_index()
+        if not self._has_index:
             for record in self._records():
                 self._see(record)
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
     def messages(self, wanted: Range) -> Iterator[Raw]:
         """Yield the messages that ``wanted`` selects.
-
-        They are ordered by stamp if the file has an index. Messages with the same stamp keep their
-        order in the file.
 
         Raises:
             BagError: if a chunk of a file with an index is damaged.
         """
         if wanted.end is not None and wanted.end < wanted.start:
             return
-        found = self._scan(wanted) if self._reader is None else self._select(self._reader, wanted)
-        for message in found:
+        for message in self._select(wanted) if self._has_index else self._scan(wanted):
             channel = self.channels[message.channel_id]
             yield Raw(message.log_time, message.publish_time, channel, message.data)
 
-    def _select(self, reader: SeekingReader, wanted: Range) -> Iterator[Message]:
+    def _select(self, wanted: Range) -> Iterator[Message]:
         topics = {each.topic for each in self.channels.values() if wanted.has(each.topic)}
         try:
-            for _, _, message in reader.iter_messages(
-                topics, starting_at=wanted.start, ending_at=wanted.end
-            ):
-                yield message
+            with self._opened() as file:
+                for _, _, message in SeekingReader(file, validate_crcs=True).iter_messages(
+                    topics, starting_at=wanted.start, ending_at=wanted.end
+                ):
+                    yield message
         except _DAMAGED as error:
             raise BagError(self.path, f"a chunk is damaged ({_reason(error)}); {_REST}") from error
 
@@ -242,38 +220,36 @@ class McapFile:
 
     # opening
 
-    def _indexed_reader(self) -> SeekingReader | None:
-        """Return a reader that uses the file's index; None if the file has no whole index."""
+    def _opened(self) -> BinaryIO:
         try:
-            reader = SeekingReader(self._file, validate_crcs=True)
-        except _DAMAGED:
-            raise BagError(self.path, "it is not an MCAP file") from None
-        try:
-            summary = reader.get_summary()
-            if summary is None or not _is_complete(summary):
-                return None
-            self._take(summary)
-            for record in reader.iter_metadata():
-                self._see(record)
-        except _DAMAGED:
-            for each in (self.channels, self.counts, self._schemas):
-                each.clear()
-            self.start = self.end = 0
-            return None
-        return reader
+            return self.path.open("rb")
+        except OSError as error:
+            raise BagError(self.path, f"it cannot be opened: {error.strerror}") from error
 
-    def _take(self, summary: Summary) -> None:
-        """Copy what the index says about the file."""
-        for record in (*summary.schemas.values(), *summary.channels.values()):
+    def _read_index(self) -> bool:
+        """Learn from the file's index what the file has. Return whether it has a whole index."""
+        with self._opened() as file:
+            try:
+                reader = SeekingReader(file, validate_crcs=True)
+            except _DAMAGED:
+                raise BagError(self.path, "it is not an MCAP file") from None
+            try:
+                summary = reader.get_summary()
+                metadata = list(reader.iter_metadata())
+            except _DAMAGED:
+                return False
+        statistics = None if summary is None else summary.statistics
+        if summary is None or statistics is None or not _is_complete(summary, statistics):
+            return False
+        for record in (*summary.schemas.values(), *summary.channels.values(), *metadata):
             self._see(record)
-        if summary.statistics is not None:
-            self.counts.update(summary.statistics.channel_message_counts)
-            self.start = summary.statistics.message_start_time
-            self.end = summary.statistics.message_end_time
+        self.counts.update(statistics.channel_message_counts)
+        self.start, self.end = statistics.message_start_time, statistics.message_end_time
+        return True
 
     def _records(self) -> Iterator[McapRecord]:
         """Yield the records from the file's start to its end, or up to what is damaged."""
-        with self.path.open("rb") as file:
+        with self._opened() as file:
             try:
                 yield from StreamReader(file, validate_crcs=True).records
             except (EndOfFile, struct.error):
@@ -312,13 +288,9 @@ class McapFile:
         )
 
 
-def _is_complete(summary: Summary) -> bool:
+def _is_complete(summary: Summary, statistics: Statistics) -> bool:
     """Whether the index lists all messages. Messages outside of chunks are never listed."""
-    statistics = summary.statistics
-    if (
-        statistics is None
-        or not statistics.channel_message_counts.keys() <= summary.channels.keys()
-    ):
+    if not statistics.channel_message_counts.keys() <= summary.channels.keys():
         return False
     return bool(summary.chunk_indexes) or not statistics.message_count
 
@@ -332,8 +304,8 @@ def _reason(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-class SqliteFile:
-    """An SQLite file, open for reading; see `turtleact.recording.storage.BagStorage`.
+class SqliteFile(BagStorage):
+    """An SQLite file.
 
     Args:
         path: The file.
@@ -343,30 +315,14 @@ class SqliteFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.is_closed = True
-        self.about = self.flaw = ""
-        self.channels: dict[int, Channel] = {}
-        self.counts: dict[int, int] = {}
-        self.start = self.end = 0
+        super().__init__(path)
         if not path.is_file():
             raise BagError(path, "it does not exist")
         try:
-            # A worker thread may read on where another has begun, one at a time.
-            self._database = sqlite3.connect(
-                f"file:{quote(str(path.absolute()))}?mode=ro", uri=True, check_same_thread=False
-            )
+            with closing(self._opened()) as database:
+                self._look_through(database)
         except sqlite3.Error as error:
-            raise BagError(path, f"it cannot be opened: {error}") from error
-        try:
-            self._look_through()
-        except sqlite3.Error as error:
-            self._database.close()
             raise BagError(path, f"it is not an SQLite file of rosbag2: {error}") from error
-
-    def close(self) -> None:
-        """Close the file."""
-        self._database.close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
         """Yield the messages that ``wanted`` selects, ordered by stamp.
@@ -386,24 +342,30 @@ class SqliteFile:
             "AND timestamp BETWEEN ? AND ? ORDER BY timestamp, id"
         )
         try:
-            for number, stamp, data in self._rows(query, *chosen, start, end):
-                yield Raw(stamp, stamp, self.channels[number], data)
+            with closing(self._opened()) as database:
+                for number, stamp, data in database.execute(query, (*chosen, start, end)):
+                    yield Raw(stamp, stamp, self.channels[number], data)
         except sqlite3.Error as error:
             raise BagError(self.path, f"it is damaged: {error}") from error
 
-    def _look_through(self) -> None:
+    def _opened(self) -> sqlite3.Connection:
+        # A worker thread may read on where another has begun, one at a time.
+        url = f"file:{quote(str(self.path.absolute()))}?mode=ro"
+        return sqlite3.connect(url, uri=True, check_same_thread=False)
+
+    def _look_through(self, database: sqlite3.Connection) -> None:
         texts = dict[str, Schema]()
-        if self._columns("message_definitions"):
+        if _columns(database, "message_definitions"):
             query = (
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             )
-            for name, encoding, text in self._rows(query):
+            for name, encoding, text in database.execute(query):
                 texts[name] = Schema(name, encoding, text)
-        columns = self._columns("topics")
+        columns = _columns(database, "topics")
         offers = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         hashes = "type_description_hash" if "type_description_hash" in columns else "''"
         query = f"SELECT id, name, type, serialization_format, {offers}, {hashes} FROM topics"  # noqa: S608  # names of ours
-        for number, topic, type_name, format, offered, type_hash in self._rows(query):
+        for number, topic, type_name, format, offered, type_hash in database.execute(query):
             self.channels[number] = Channel(
                 topic=topic,
                 schema=texts.get(type_name, Schema(type_name)),
@@ -412,14 +374,12 @@ class SqliteFile:
                 format=format,
             )
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY 1"
-        found = list(self._rows(query))
-        self.counts = {number: count for number, count, _, _ in found}
+        found = list(database.execute(query))
+        self.counts.update({number: count for number, count, _, _ in found})
         if found:
             self.start = min(first for _, _, first, _ in found)
             self.end = max(last for _, _, _, last in found)
 
-    def _columns(self, table: str) -> set[str]:
-        return {name for _, name, *_ in self._rows(f"PRAGMA table_info({table})")}
 
-    def _rows(self, query: str, *values: object) -> Iterator[Any]:
-        return iter(self._database.execute(query, values))
+def _columns(database: sqlite3.Connection, table: str) -> set[str]:
+    return {name for _, name, *_ in database.execute(f"PRAGMA table_info({table})")}

@@ -20,6 +20,7 @@ from typing import Final, TypeAlias
 
 from turtleact.errors import InvalidMessage
 from turtleact.recording.bag_writer import BagWriter
+from turtleact.recording.metadata import BagError
 from turtleact.recording.storage import Channel
 
 __all__ = ["CAPACITY", "Encode", "WriterThread"]
@@ -262,7 +263,7 @@ class WriterThread:
             self._on_end()
 
     def _fail(self, error: Exception) -> None:
-        """Store the error that ended writing, and log it unless it is an OSError."""
+        """Store the error that ended writing, and log it if a full disk cannot be the cause."""
         self.error = self.error or error
-        if not isinstance(error, OSError):
+        if not isinstance(error, OSError | BagError):
             logger.error("a bag cannot be written any more", exc_info=error)

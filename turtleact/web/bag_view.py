@@ -223,14 +223,11 @@ async def open_bag_view(
         InvalidOption: if the host or the port cannot be bound.
     """
     bag = await anyio.to_thread.run_sync(Bag, path)
-    try:
-        with bound(host, port) as listener:
-            at: tuple[str, int] = listener.getsockname()[:2]
-            config = Config(BagView(bag), timeout_graceful_shutdown=LAST_ORDERS)
-            async with serving(config, listener):
-                yield Shown(f"http://{at[0]}:{at[1]}/")
-    finally:
-        bag.close()
+    with bound(host, port) as listener:
+        at: tuple[str, int] = listener.getsockname()[:2]
+        config = Config(BagView(bag), timeout_graceful_shutdown=LAST_ORDERS)
+        async with serving(config, listener):
+            yield Shown(f"http://{at[0]}:{at[1]}/")
 
 
 def _is_pose(channel: Channel) -> bool:
