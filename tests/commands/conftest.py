@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 
 from turtleact import cli
-from turtleact.commands import graph, send_goal
+from turtleact.commands import graph
 
 from .. import warm
 
@@ -102,7 +102,7 @@ def turtleact(capsys):
 @pytest.fixture
 def on_stage(turtleact, stage, monkeypatch):
     """The same in the world of ``stage.py``."""
-    monkeypatch.setattr(send_goal, "embedded_world", stage.world)
+    monkeypatch.setattr(graph, "embedded_world", stage.world)
     return turtleact
 
 

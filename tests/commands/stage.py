@@ -14,7 +14,7 @@ from contextlib import asynccontextmanager, suppress
 import anyio
 
 from turtleact import Abort, Action, CancelResponse, Message, Reject, cli, open_node
-from turtleact.commands import send_goal
+from turtleact.commands import graph, send_goal
 from turtleact.interfaces import float64, string
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 
@@ -92,7 +92,7 @@ async def quit_(goal, handle):
 
 
 @asynccontextmanager
-async def world(speed, seed):
+async def world(speed=1.0, seed=0):
     async with open_node("stage") as node:
         for body in (now, fail, hold, stubborn, crash):
             node.action_server(Fibonacci, f"/{body.__name__}", body)
@@ -108,7 +108,7 @@ async def world(speed, seed):
 
 
 if __name__ == "__main__":
-    send_goal.embedded_world = world
+    graph.embedded_world = world
     send_goal.PATIENCE = 0.1
     send_goal.CANCEL_TIMEOUT = 2.0
     sys.exit(cli.main())

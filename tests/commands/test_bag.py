@@ -352,11 +352,15 @@ def test_what_cannot_be_played_is_said(on_graph, tmp_path):
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (["--rate", "fast"], "--rate takes a factor above zero or max, not 'fast'"),
+        (
+            ["--rate", "fast"],
+            "Invalid value for '--rate' / '-r': 'fast' is not a factor above 0, or max",
+        ),
         (["--clock", "0"], "Invalid value for '--clock': '0' is not a rate in Hz above zero"),
         (
             ["--start-offset", "1e300"],
-            "Invalid value for '--start-offset': '1e300' is more than 1,000,000,000 seconds",
+            "Invalid value for '--start-offset': '1e300' is not a number of seconds, 0 to "
+            "1,000,000,000",
         ),
         (["--remap", "/a"], "--remap takes rules such as /old:=/new, not '/a'"),
     ],

@@ -30,9 +30,9 @@ USAGE = [
     (["send-goal", "x", "-t", "inf"], "'inf' is not a number"),
     (
         ["send-goal", "x", "--speed", "0"],
-        "--speed: '0' is not a factor above 0 and at most 100, or max",
+        "'--speed': '0' is not a factor above 0 and at most 100, or max",
     ),
-    (["send-goal", "x", "--speed", "fast"], "--speed: 'fast' is not"),
+    (["send-goal", "x", "--speed", "fast"], "'--speed': 'fast' is not"),
     (["send-goal", "x", "--seed", "-1"], "'-1' is not a whole number, 0 or more, of 18 digits"),
     (["send-goal", "x", "--seed", "9" * 19], "'--seed': '9{19}' is not a whole number"),
     (["send-goal", "x", "a/b", "1", "-5"], r"unexpected extra argument.*\(-5\)"),
@@ -207,15 +207,13 @@ def order(monkeypatch):
     def of(*arguments):
         orders = []
 
-        class Sender:
-            def __init__(self, order):
-                orders.append(order)
+        def refuse(order):
+            orders.append(order)
+            raise UsageError("made")
 
-            def run(self):
-                return 9
-
-        monkeypatch.setattr(send_goal, "GoalSender", Sender)
-        assert app.run(["send-goal", *arguments]) == 9
+        monkeypatch.setattr(send_goal, "GoalSender", refuse)
+        with pytest.raises(UsageError, match="made"):
+            app.run(["send-goal", *arguments])
         return orders[0]
 
     return of

@@ -20,7 +20,17 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.app import ManyVerb, new_group, verb
-from turtleact.commands.options import Json, argument, bag_seconds, flag, hertz, value, whole
+from turtleact.commands.options import (
+    Json,
+    argument,
+    bag_seconds,
+    factor,
+    flag,
+    hertz,
+    or_max,
+    value,
+    whole,
+)
 from turtleact.commands.output import counted, note, say
 from turtleact.commands.output import duration as told_duration
 from turtleact.commands.settings import WrongOptions, quoted
@@ -113,6 +123,15 @@ Overrides = Annotated[
         "--qos-profile-overrides-path",
         metavar="FILE",
         text="Quality of service by topic, in a YAML file of 'ros2 bag'.",
+    ),
+]
+Rate = Annotated[
+    Any,  # a number or "max"
+    playing(
+        *("--rate", "-r"),
+        metavar="FACTOR",
+        text="How much faster than recorded; max plays without any waiting.",
+        parser=or_max(factor),
     ),
 ]
 StartOffset = Annotated[
@@ -238,14 +257,7 @@ def play(
     bag: BagPath,
     *,
     taken: dict[str, Any],
-    rate: Annotated[
-        str,
-        playing(
-            *("--rate", "-r"),
-            metavar="FACTOR",
-            text="How much faster than recorded; max plays without any waiting.",
-        ),
-    ] = "1.0",
+    rate: Rate = 1.0,
     loop: Annotated[
         bool, flag("--loop", "-l", text="Start over at the end.", panel="Playing")
     ] = False,
@@ -282,7 +294,7 @@ def play(
 ) -> int:
     """Publish the messages of a bag again, or send its goals again."""
     options: dict[str, Any] = {
-        "rate": _rate(rate),
+        "rate": rate,
         "loop": loop,
         "start_offset": offset,
         "duration": duration,
@@ -406,16 +418,6 @@ def _selection(taken: Mapping[str, Any], **more: Any) -> Selection:  # noqa: ANN
     named = ("topics", "services", "actions", "exclude")
     lists = {each: frozenset(map(resolve_name, taken[each])) for each in named}
     return Selection(**{**taken, **more, **lists})
-
-
-def _rate(text: str) -> float | str:
-    """Parse how fast a bag is played: a factor above zero, or ``max``."""
-    if text == "max":
-        return text
-    try:
-        return hertz(text)
-    except typer.BadParameter:
-        raise WrongOptions(f"--rate takes a factor above zero or max, not {quoted(text)}") from None
 
 
 def _renamed(rule: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@ Each completion function takes Typer's context, which holds the arguments typed 
 that the user has begun. Each completion function returns the possible values. Typer drops the
 values that do not begin with the user's word, and passes the others to the shell. The functions
 look the values up again at each press of Tab, but start no server and no world. If a completion
-function fails, it offers no values, because an error message would disturb the user's input.
+function fails, `turtleact.cli` prints nothing, because an error would disturb the user's input.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -73,19 +72,6 @@ _DECLARING: Final = re.compile(r"\bturtleact\b")
 _FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
 
 
-def _silent(complete: Complete) -> Complete:
-    """Wrap a completion function, so that it offers nothing if it raises an error."""
-
-    @wraps(complete)
-    def offer(ctx: typer.Context, incomplete: str) -> Candidates:
-        try:
-            return complete(ctx, incomplete)
-        except Exception:
-            return []
-
-    return offer
-
-
 def words(*known: str) -> Callable[[], list[str]]:
     """Return a completion function that offers the words ``known``."""
     return lambda: list(known)
@@ -100,7 +86,6 @@ def _names(kind: Kind) -> Complete:
     If there is no graph, it offers the actions of the embedded world.
     """
 
-    @_silent
     def complete(ctx: typer.Context, incomplete: str) -> Candidates:
         return _as_begun(_types_by_name(ctx, kind), incomplete)
 
@@ -112,7 +97,6 @@ services = _names("service")
 topics = _names("topic")
 
 
-@_silent
 def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
     """Offer the nodes on the graph that are not hidden."""
     from turtleact.transports.graph import is_hidden_node
@@ -121,7 +105,6 @@ def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
     return _as_begun(sorted(names), incomplete)
 
 
-@_silent
 def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # Typer filters
     """Offer the parameters of the node given earlier on the command line."""
     from turtleact.commands import graph
@@ -138,7 +121,6 @@ def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG0
     return found
 
 
-@_silent
 def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
     """Offer the ids of the goals that servers hold, newest first.
 
@@ -172,7 +154,6 @@ def types(kind: Kind, *, of_name: bool = True) -> Complete:
     interfaces of the kind.
     """
 
-    @_silent
     def complete(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
         known: tuple[str, ...] = ()
         if of_name:
@@ -183,19 +164,16 @@ def types(kind: Kind, *, of_name: bool = True) -> Complete:
     return complete
 
 
-@_silent
 def interfaces(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the names of all interfaces."""
     return _interfaces(ctx)
 
 
-@_silent
 def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the names of all packages that have interfaces."""
     return sorted({name.partition("/")[0] for name in _interfaces(ctx)})
 
 
-@_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
     """Offer one message, with default values, of the type given earlier on the command line."""
     from turtleact.commands.message_text import first_message, make_found, make_known
@@ -221,7 +199,6 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
 # modules
 
 
-@_silent
 def targets(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the Python files that mention turtleact, those of the working directory as modules."""
     folder, slash, begun = incomplete.rpartition("/")
@@ -239,7 +216,6 @@ def _mentions_us(file: Path) -> bool:
 # programs
 
 
-@_silent
 def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the packages with something to run, and the Python files in the working directory."""
     from turtleact.commands.programs import runnable_here
@@ -249,7 +225,6 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
     return [*sorted(name for name, programs in known.items() if programs), *files]
 
 
-@_silent
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the executables of the package given earlier on the command line."""
     from turtleact.commands.programs import runnable_here

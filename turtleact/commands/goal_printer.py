@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import anyio
 
-from turtleact.commands.output import note, say
+from turtleact.commands.output import say
 from turtleact.goals.client_handle import FeedbackReceived, StatusChanged
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import to_json, to_yaml
@@ -93,8 +93,8 @@ class GoalPrinter:
             lines[left_out] = [f"     … {len(lines[left_out])} more lines …"]
         say("\n".join(("Sending goal:", *lines, "\n")))
 
-    def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it here
-        """Print that the server has rejected the goal. `note` is called with the reason."""
+    def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it
+        """Print that the server has rejected the goal. The caller prints the reason."""
         say("Goal was rejected.\n")
 
     def accepted(self, goal: Followed) -> None:
@@ -105,7 +105,7 @@ class GoalPrinter:
         """Called when the goal can be followed, also if somebody else has sent the goal."""
 
     def served(self, *, is_served: bool) -> None:
-        """Called when the goal's server has gone or has come back. The caller also calls `note`."""
+        """Called when the goal's server has gone or has come back. The caller also prints it."""
 
     async def animate(self) -> None:
         """Animate the display. When the goal ends, the caller cancels this coroutine."""
@@ -126,10 +126,6 @@ class GoalPrinter:
     def ended(self, outcome: Outcome[Message]) -> None:
         """Print the result and the final status of the goal, once the display has ended."""
         say(result_text(outcome))
-
-    def note(self, text: str) -> None:
-        """Print a message that is not an event of the goal, such as a warning."""
-        note(text)
 
     def close(self) -> None:
         """Restore the terminal. A signal handler may call this."""

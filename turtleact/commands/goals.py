@@ -8,7 +8,7 @@ import shlex
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -27,8 +27,9 @@ from turtleact.commands.options import (
     message_of,
     name_of,
     only_one,
+    or_max,
     span,
-    speed_or_max,
+    speed,
     stdin_of,
     type_and_text,
     type_of,
@@ -117,11 +118,12 @@ def _written(reach: ConnectOptions, interfaces: Path | None) -> str:
 
 
 Speed: TypeAlias = Annotated[
-    str | None,
+    Any,  # a number or "max"
     value(
         metavar="FACTOR",
         text="How fast time passes: 2 is twice as fast as real time; up to 100, or max.",
         panel=EMBEDDED,
+        parser=or_max(speed),
         autocompletion=completion.words("max"),
     ),
 ]
@@ -200,7 +202,7 @@ def send_goal(
         type_name,
         text,
         None if is_embedded else reach,
-        1.0 if speed is None else speed_or_max(speed),
+        1.0 if speed is None else speed,
         seed or 0,
         _written(reach, interfaces),
         feedback,
@@ -208,7 +210,8 @@ def send_goal(
         "json" if json else _view(plain=plain),
         reattach,
     )
-    return GoalSender(request).run()
+    sender = GoalSender(request)
+    return sender.interrupts.run(sender.send())
 
 
 verb(app, "send-goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)

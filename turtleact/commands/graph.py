@@ -53,7 +53,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Look",
     "chosen_class",
-    "enter_if_there",
+    "embedded_world",
+    "enter_graph",
     "interface_class",
     "no_router",
     "none_in_domain",
@@ -62,6 +63,7 @@ __all__ = [
     "note_empty",
     "note_pause",
     "open_graph",
+    "open_or_embed",
     "open_transport",
     "print_action_info",
     "print_list",
@@ -74,7 +76,6 @@ __all__ = [
     "run",
     "suggest",
     "use",
-    "world_started",
 ]
 
 I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interface
@@ -84,8 +85,13 @@ T = TypeVar("T")
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
 """A verb: a function that looks at the graph and returns the exit status."""
 
+Enter: TypeAlias = "Callable[[AsyncExitStack, ConnectOptions], Awaitable[Node | None]]"
+
 ROUTER = "tcp/localhost:7447"
 """The endpoint of the router to which commands connect without ``--connect``."""
+
+HIDDEN = "_turtleact_cli_{}"
+"""The name of the node of most verbs, with the number of the process in place of the braces."""
 
 WORLD_STATE = "/world/get_simulation_state"
 RESUMES = """'turtleact service call /world/set_simulation_state "state: {state: 1}"'"""
@@ -121,39 +127,90 @@ async def open_transport(
 
 
 @asynccontextmanager
-async def open_graph(reach: ConnectOptions, mode: Mode | None = None) -> AsyncIterator[Node]:
-    """Open a hidden node on a graph. The errors are those of `open_transport`."""
+async def open_graph(
+    reach: ConnectOptions, mode: Mode | None = None, name: str = HIDDEN
+) -> AsyncIterator[Node]:
+    """Open a node on a graph, by default a hidden one. The errors are those of `open_transport`.
+
+    In the name of the node, ``{}`` becomes the number of this process.
+    """
     async with (
         open_transport(reach, mode) as transport,
-        open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
+        open_node(name.format(os.getpid()), transport=transport) as node,
     ):
         node.learner.is_on = reach.learns
         node.learner.note = note
         yield node
 
 
-async def enter_if_there(
-    stack: AsyncExitStack, reach: ConnectOptions, opened: AbstractAsyncContextManager[T]
-) -> T | None:
-    """Open a graph. Return None if no graph is in reach and ``--connect`` was not given.
+async def enter_graph(
+    stack: AsyncExitStack, reach: ConnectOptions, name: str = HIDDEN
+) -> Node | None:
+    """Open a node on a graph. Return None if no graph is in reach and ``--connect`` was not given.
 
     Args:
-        stack: The stack that closes the graph.
-        reach: The graph to open.
-        opened: The context manager that opens the graph: `open_transport` or `open_graph`.
+        stack: The stack that closes the node.
+        reach: The graph.
+        name: The name of the node, as for `open_graph`.
 
     Raises:
         UsageError: if the ``--config`` file cannot be read, or has an invalid value.
         TurtleactError: if the graph that ``--connect`` names is not in reach.
     """
     try:
-        return await stack.enter_async_context(opened)
+        return await stack.enter_async_context(open_graph(reach, name=name))
     except UsageError:
         raise
     except TurtleactError:
         if reach.connect:
             raise
         return None
+
+
+@asynccontextmanager
+async def embedded_world(speed: float | str = 1.0, seed: int = 0) -> AsyncIterator[Node]:
+    """Open a world in this process. Only this function imports modules that load slowly."""
+    from turtleact.sim.world_node import open_world
+
+    async with open_world(speed=speed, seed=seed) as node:
+        yield node
+
+
+@asynccontextmanager
+async def open_or_embed(
+    reach: ConnectOptions | None,
+    what: str,
+    is_enough: Callable[[Node], Awaitable[bool]],
+    world: Callable[[str], AbstractAsyncContextManager[Node]],
+    enter: Enter = enter_graph,
+) -> AsyncIterator[Node]:
+    """Open a node on a graph or, if the graph lacks what the user needs, in an embedded world.
+
+    A graph that ``--connect`` names is used in any case, because the user means no other.
+
+    Args:
+        reach: The graph; None to use only an embedded world.
+        what: What the user needs, such as ``"turtles"``.
+        is_enough: Returns whether a node sees what the user needs.
+        world: Opens the embedded world. It is told why the graph is of no use, and raises an error
+            if a world is no substitute.
+        enter: Opens a node on the graph, or returns None if there is no graph.
+    """
+    why = ""
+    async with AsyncExitStack() as stack:
+        if reach is not None:
+            there = await enter(stack, reach)
+            why = no_router(reach)
+            if there is not None:
+                if reach.connect or await is_enough(there):
+                    yield there
+                    return
+                why = await none_in_domain(there.transport, reach, what)
+                await stack.aclose()
+        node = await stack.enter_async_context(world(why))
+        reason = f", because {why}" if why else ""
+        note(f"started an embedded world, which ends with this command{reason}")
+        yield node
 
 
 def run(reach: ConnectOptions, look: Look, interrupts: Interrupts | None = None) -> int:
@@ -268,7 +325,7 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
         note(f"{fault.problem}; {fault.advice}")
 
 
-async def note_pause(node: Node, tell: Callable[[str], object] = note) -> None:
+async def note_pause(node: Node) -> None:
     """Tell the user if the world is paused: its clock then stands still, and goals wait."""
     from turtleact.interfaces.standard.simulation_interfaces.msg import SimulationState
     from turtleact.interfaces.standard.simulation_interfaces.srv import GetSimulationState
@@ -283,7 +340,7 @@ async def note_pause(node: Node, tell: Callable[[str], object] = note) -> None:
     finally:
         await client.aclose()
     if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
-        tell(f"the world is paused; {RESUMES} resumes it")
+        note(f"the world is paused; {RESUMES} resumes it")
 
 
 def suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
@@ -325,16 +382,6 @@ async def none_in_domain(transport: Transport, reach: ConnectOptions, what: str 
         return f"{lack}; is your server running?"
     there = f"domain {others[0]} has" if len(others) == 1 else f"domains {', '.join(others)} have"
     return f"{lack} ({there} nodes: try --domain {others[0]})"
-
-
-def world_started(why: str = "") -> str:
-    """Return a text that says that the command has started an embedded world.
-
-    Args:
-        why: Why the command has started the world; empty if the user asked for it.
-    """
-    reason = f", because {why}" if why else ""
-    return f"started an embedded world, which ends with this command{reason}"
 
 
 def not_served(

@@ -257,11 +257,7 @@ def run(reach: ConnectOptions, wanted: str, view: View | None, options: str) -> 
     )
     interrupts = Interrupts()
     interrupts.restore = printer.close
-    try:
-        look = lambda node: _follow(node, wanted, printer, options)  # noqa: E731
-        return graph.run(reach, look, interrupts)
-    finally:
-        printer.close()
+    return graph.run(reach, lambda node: _follow(node, wanted, printer, options), interrupts)
 
 
 async def _follow(node: Node, wanted: str, printer: GoalPrinter, options: str) -> int:

@@ -39,7 +39,8 @@ class Interrupts:
         cancels: Whether the first signal cancels the command that `run` runs. If not, the command
             waits for the signal itself, with `wait`.
         forced: The exit status of the process after a second signal; None for that of the signal.
-        restore: Restores the terminal before a second signal ends the process.
+        restore: Restores the terminal at the end of `run`, and before a second signal ends the
+            process. It may be called twice.
         last_words: Returns a text for stderr before a second signal ends the process.
     """
 
@@ -77,6 +78,8 @@ class Interrupts:
                 if not self.received:
                     raise
                 return self.status
+            finally:
+                self.restore()
 
     def end(self) -> None:
         """Let `wait` return, as if a signal had come."""

@@ -24,6 +24,7 @@ from rich.table import Table
 from rich.text import Text
 
 from turtleact.commands.goal_printer import GoalPrinter
+from turtleact.commands.output import note
 from turtleact.commands.screen import Screen, can_read_keys, typed_keys
 from turtleact.commands.world_map import (
     POSE,
@@ -147,7 +148,7 @@ class LivePrinter(GoalPrinter):
                 try:
                     await (goal.resume() if goal.is_paused else goal.pause())
                 except TurtleactError as error:
-                    self.note(str(error))
+                    note(str(error))
 
     def close(self) -> None:
         """Restore the terminal."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -153,7 +153,10 @@ def _run(
                 await serve_stdio(server)
         return 0
 
-    return Interrupts().run(graph.use(_open_node(reach), serve))
+    enter = partial(graph.enter_graph, name="turtleact_mcp_{}")
+    world = lambda _: graph.embedded_world()  # noqa: E731
+    opened = graph.open_or_embed(reach, "nodes", _is_enough, world, enter)
+    return Interrupts().run(graph.use(opened, serve))
 
 
 def _names(text: str | None) -> tuple[str, ...]:
@@ -213,24 +216,6 @@ async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
         note(f"nobody serves {', '.join(missing)} yet: the tool appears when a server does")
 
 
-@asynccontextmanager
-async def _open_node(reach: ConnectOptions | None) -> AsyncIterator[Node]:
-    """Open a node on the user's graph or, if there is no graph, in an embedded world."""
-    from turtleact.commands import graph
-    from turtleact.commands.send_goal import embedded_world
-    from turtleact.node import open_node
-
-    async with AsyncExitStack() as stack:
-        there = None
-        if reach is not None:
-            opened = graph.open_transport(reach)
-            there = await graph.enter_if_there(stack, reach, opened)
-        if there is not None:
-            name = f"turtleact_mcp_{os.getpid()}"
-            node = await stack.enter_async_context(open_node(name, transport=there))
-            node.learner.is_on = reach is None or reach.learns
-            yield node
-            return
-        node = await stack.enter_async_context(embedded_world(1.0, 0))
-        note(graph.world_started("" if reach is None else graph.no_router(reach)))
-        yield node
+async def _is_enough(_: Node) -> bool:
+    """Any graph will do, because actions may appear later."""
+    return True

@@ -41,6 +41,7 @@ __all__ = [
     "argument",
     "bag_seconds",
     "count_of",
+    "factor",
     "flag",
     "folder",
     "hertz",
@@ -49,11 +50,11 @@ __all__ = [
     "message_of",
     "name_of",
     "only_one",
+    "or_max",
     "ros_domain",
     "seconds",
     "span",
     "speed",
-    "speed_or_max",
     "stdin_of",
     "type_and_text",
     "type_of",
@@ -458,16 +459,13 @@ def _number(problem: str, is_fit: Callable[[float], bool]) -> Callable[[str | fl
 
 seconds = _number("is not a number of seconds, 0 or more", lambda value: value >= 0)
 hertz = _number("is not a rate in Hz above zero", lambda value: value > 0)
-
-
-def bag_seconds(given: str | float) -> float:
-    """Parse a time in a bag: a number of seconds from 0 to `recording.storage.LONGEST`."""
-    from turtleact.recording.storage import LONGEST
-
-    value = seconds(given)
-    if value > LONGEST:
-        raise typer.BadParameter(f"{quoted(str(given))} is more than {LONGEST:,} seconds")
-    return value
+# The limits of the next two are `recording.storage.LONGEST` and `tasks.clock.FASTEST`, which --help
+# has no time to import.
+bag_seconds = _number(
+    "is not a number of seconds, 0 to 1,000,000,000", lambda value: 0 <= value <= 1e9
+)
+factor = _number("is not a factor above 0", lambda value: value > 0)
+speed = _number("is not a factor above 0 and at most 100", lambda value: 0 < value <= 100)
 
 
 def span(given: str | float) -> float:
@@ -483,29 +481,16 @@ def span(given: str | float) -> float:
     return float(found["number"]) * UNITS[found["unit"]]
 
 
-def speed(given: str | float) -> float:
-    """Parse how fast a clock runs, as a factor: above 0, at most `clock.FASTEST`."""
-    from turtleact.tasks.clock import FASTEST
+def or_max(parse: Callable[[str], float]) -> Callable[[str], float | str]:
+    """Return a parser that also takes the word ``max``, which means no limit."""
 
-    value = _finite(given)
-    if not 0 < value <= FASTEST:
-        problem = f"is not a factor above 0 and at most {FASTEST:g}"
-        raise typer.BadParameter(f"{quoted(str(given))} {problem}")
-    return value
+    def parse_either(given: str) -> float | str:
+        try:
+            return given if given == "max" else parse(given)
+        except typer.BadParameter as error:
+            raise typer.BadParameter(f"{error.message}, or max") from None
 
-
-def speed_or_max(text: str) -> float | str:
-    """Parse how fast a clock runs: a factor as for `speed`, or ``max`` for no limit.
-
-    Raises:
-        WrongOptions: if the text is neither a factor nor ``max``.
-    """
-    if text == "max":
-        return text
-    try:
-        return speed(text)
-    except typer.BadParameter as error:
-        raise WrongOptions(f"--speed: {error.message}, or max") from None
+    return parse_either
 
 
 def whole(given: str | int) -> int:

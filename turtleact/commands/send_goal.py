@@ -9,8 +9,6 @@ Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of the output.
 from __future__ import annotations
 
 import sys
-from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
@@ -27,7 +25,7 @@ from turtleact.commands.goal_printer import (
     watch_command,
 )
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.output import leave, say
+from turtleact.commands.output import leave, note, say
 from turtleact.errors import (
     GoalRejected,
     ServerUnavailable,
@@ -41,6 +39,8 @@ from turtleact.names import resolve_name
 from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
+    from contextlib import AbstractAsyncContextManager, AsyncExitStack
+
     from anyio.abc import TaskGroup
 
     from turtleact.commands.goal_printer import View
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["GoalRequest", "GoalSender", "choose_printer", "embedded_world"]
+__all__ = ["GoalRequest", "GoalSender", "choose_printer"]
 
 SUCCEEDED, FAILED, REJECTED, TIMEOUT = 0, 1, 3, 124
 """Exit statuses, besides `EXIT_STATUS`."""
@@ -109,16 +109,6 @@ class GoalRequest(NamedTuple):
     reattach: float = 0.0
 
 
-def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager[Node]:
-    """Open the embedded world.
-
-    Only this function imports modules that load slowly, such as numpy.
-    """
-    from turtleact.sim.world_node import open_world
-
-    return open_world(speed=speed, seed=seed)
-
-
 def choose_printer(
     view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
 ) -> GoalPrinter:
@@ -146,6 +136,9 @@ def choose_printer(
 class GoalSender:
     """Opens the graph, sends one goal, follows it, and determines the exit status.
 
+    Attributes:
+        interrupts: The signals, with which the caller runs `send`.
+
     Raises:
         InvalidName: if the action's name breaks ROS 2's rules.
         InvalidGoal: if the type is given, and the goal does not fit it.
@@ -168,39 +161,37 @@ class GoalSender:
         if self._unknown is None:
             self._say_waiting()
         self._printer = choose_printer(request.view, wants_feedback=request.feedback)
-        self._interrupts = Interrupts()
-        self._interrupts.restore = self._printer.close
-        self._interrupts.last_words = self._last_words
+        self.interrupts = Interrupts()
+        self.interrupts.restore = self._printer.close
+        self.interrupts.last_words = self._last_words
         self._sent: Followed | None = None
         self._canceled_by: int | None = None
         self._awaits_cancel = False
         self._is_embedded = False
 
-    def run(self) -> int:
+    async def send(self) -> int:
         """Open the graph or an embedded world, send the goal, and return the exit status.
 
         Raises:
             InvalidGoal: if the goal does not fit the action.
             ServerUnavailable: if nobody serves the action with this type.
         """
-        sending = self._open_and_send()
+        opened = graph.open_or_embed(
+            self._request.reach, "actions", _find_served, self._open_world, self._enter_graph
+        )
         try:
-            status = self._interrupts.run(sending)
-        finally:
-            sending.close()  # it has not begun if a signal came first
-            self._printer.close()
-        return self._interrupted() if self._interrupts.received and self._sent is None else status
-
-    async def _open_and_send(self) -> int:
-        async with self._find_node() as node:
-            if self._unknown is not None:
-                self._say_waiting()
-            await _find_served(node, self._name)
-            action_type = await self._find_action(node)
-            goal = self._goal
-            if not isinstance(goal, action_type.Goal):  # the server may have another definition
-                goal = self._read_goal(action_type)
-            return await self._send(node, action_type, goal)
+            async with opened as node:
+                if self._unknown is not None:
+                    self._say_waiting()
+                await _find_served(node, self._name)
+                action_type = await self._find_action(node)
+                goal = self._goal
+                if not isinstance(goal, action_type.Goal):  # the server may define it differently
+                    goal = self._read_goal(action_type)
+                return await self._send(node, action_type, goal)
+        except anyio.get_cancelled_exc_class():  # by a signal, which later cancels only the goal
+            note("interrupted before the goal was accepted, so it was withdrawn")
+            raise
 
     def _say_waiting(self) -> None:
         if self._request.view != "json":
@@ -210,39 +201,24 @@ class GoalSender:
         text = self._request.text
         return from_text(action_type.Goal, text.text, root="goal", source=text.source)
 
-    @asynccontextmanager
-    async def _find_node(self) -> AsyncIterator[Node]:
-        """Open a node on the user's graph or, if there is none with actions, in an embedded world.
+    def _open_world(self, why: str) -> AbstractAsyncContextManager[Node]:
+        """Open the embedded world.
 
         Raises:
-            TurtleactError: if there is no graph with actions and an embedded world is no
-                substitute. With ``--reattach``, the user waits for a server. With a timeout of 0,
-                the goal must outlive this command.
+            TurtleactError: if the world is no substitute for the graph, for the reason ``why``.
+                With ``--reattach``, the user waits for a server. With a timeout of 0, the goal must
+                outlive this command. A world of this process has only types that are known here.
         """
-        request, reach = self._request, self._request.reach
-        why = ""
-        async with AsyncExitStack() as stack:
-            if reach is not None:
-                there = await self._enter_graph(stack, reach)
-                why = graph.no_router(reach)
-                if there is not None:
-                    if reach.connect or await _find_served(there):
-                        yield there
-                        return
-                    why = await graph.none_in_domain(there.transport, reach, "actions")
-                    await stack.aclose()
-                if request.reattach:
-                    raise ServerUnavailable(
-                        self._name, f"no server after {request.reattach:g} s", hint=why
-                    )
-                if request.timeout == 0:
-                    raise ServerUnavailable(self._name, "no server is in reach", hint=why)
-            if self._unknown is not None:  # a world of this process has no other types
-                raise self._unknown
-            self._is_embedded = True
-            node = await stack.enter_async_context(embedded_world(request.speed, request.seed))
-            self._printer.note(graph.world_started(why))
-            yield node
+        request = self._request
+        if request.reattach:
+            problem = f"no server after {request.reattach:g} s"
+            raise ServerUnavailable(self._name, problem, hint=why)
+        if request.timeout == 0:
+            raise ServerUnavailable(self._name, "no server is in reach", hint=why)
+        if self._unknown is not None:
+            raise self._unknown
+        self._is_embedded = True
+        return graph.embedded_world(request.speed, request.seed)
 
     async def _enter_graph(self, stack: AsyncExitStack, reach: ConnectOptions) -> Node | None:
         """Join the user's graph, and return a node on it; None if there is no graph.
@@ -259,7 +235,7 @@ class GoalSender:
             is_late = anyio.current_time() >= due
             try:
                 if there is None:
-                    there = await graph.enter_if_there(stack, reach, graph.open_graph(reach))
+                    there = await graph.enter_graph(stack, reach)
             except TurtleactError as error:
                 if is_late or isinstance(error, UsageError):
                     raise
@@ -267,7 +243,7 @@ class GoalSender:
                 return there
             if not has_told:
                 waiting = f"waiting for a server for up to {patience:g} s"
-                self._printer.note(f"nobody serves '{self._name}' yet: {waiting}")
+                note(f"nobody serves '{self._name}' yet: {waiting}")
                 has_told = True
             await anyio.sleep(AGAIN)
 
@@ -305,12 +281,12 @@ class GoalSender:
             beside.start_soon(self._heed_signal)
             beside.start_soon(self._heed_silence, sending)
             if not self._is_embedded:
-                beside.start_soon(graph.note_pause, node, self._printer.note)
+                beside.start_soon(graph.note_pause, node)
             try:
                 with sending:
                     await client.wait_for_server(PATIENCE)
                     async with client.send_goal(goal, reattach=self._request.reattach) as handle:
-                        self._interrupts.cancels = False
+                        self.interrupts.cancels = False
                         self._sent = Followed(node, self._name, action_type, handle)
                         status = await self._follow(self._sent, beside)
             # Before the goal was accepted, this is the answer to the command. Afterwards the goal
@@ -318,16 +294,19 @@ class GoalSender:
             except ServerUnavailable as error:
                 if self._sent is None:
                     raise
-                self._printer.note(str(error))
+                note(str(error))
                 if self._sent.handle.done:
-                    self._printer.note(self._way_back(self._sent))
+                    note(self._way_back(self._sent))
                 status = FAILED if self._canceled_by is None else self._canceled_by
             except GoalRejected as error:
                 self._printer.rejected(error.reason)
-                self._printer.note(self._why_rejected(error))
+                note(self._why_rejected(error))
                 status = REJECTED
             beside.cancel_scope.cancel()
-        return self._interrupted() if status is None else status
+        if status is None:
+            note("given up before the goal was accepted, so it was withdrawn")
+            return TIMEOUT
+        return status
 
     def _why_rejected(self, error: GoalRejected) -> str:
         """Return the note to print after a rejection."""
@@ -341,7 +320,7 @@ class GoalSender:
         printer.follows(sent)
         if self._request.timeout == 0:
             sent.handle.detach()
-            printer.note(self._way_back(sent))
+            note(self._way_back(sent))
             return SUCCEEDED
         if self._request.timeout is not None:
             beside.start_soon(self._time_out, sent, self._request.timeout)
@@ -349,7 +328,7 @@ class GoalSender:
             beside.start_soon(self._tell_of_server, sent)
         outcome = await follow(printer, sent.handle)
         if outcome.status is GoalStatus.ABORTED:
-            printer.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
+            note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
         if outcome.status is GoalStatus.CANCELED and self._canceled_by is not None:
             return self._canceled_by
         return EXIT_STATUS[outcome.status]
@@ -367,7 +346,7 @@ class GoalSender:
             if is_served is not was_served:
                 self._printer.served(is_served=is_served)
                 has = "is back" if is_served else f"has gone: {waits}"
-                self._printer.note(f"the server of {self._name} {has}")
+                note(f"the server of {self._name} {has}")
             was_served = is_served
             await sent.node.transport.wait_for_change()
 
@@ -375,15 +354,15 @@ class GoalSender:
 
     async def _heed_signal(self) -> None:
         """At a signal, cancel the goal. Before its acceptance, the client withdraws it."""
-        await self._interrupts.wait()
+        await self.interrupts.wait()
         if self._sent is None:
-            self._printer.note("waiting for the server's answer; Ctrl-C again exits at once")
+            note("waiting for the server's answer; Ctrl-C again exits at once")
             return
         there = self._has_server(self._sent)
         awaited = "the goal's end" if there else "the server, which has gone"
         self._printer.canceling()
-        self._printer.note(f"waiting for {awaited}; Ctrl-C again exits at once")
-        await self._cancel(self._sent, self._interrupts.status, CANCEL_TIMEOUT)
+        note(f"waiting for {awaited}; Ctrl-C again exits at once")
+        await self._cancel(self._sent, self.interrupts.status, CANCEL_TIMEOUT)
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
         """Tell the user if no server has accepted the goal in time.
@@ -393,19 +372,19 @@ class GoalSender:
         limit = self._request.timeout
         seconds = max(limit or 0.0, PATIENCE)
         await anyio.sleep(seconds)
-        if self._sent is not None or self._interrupts.received:
+        if self._sent is not None or self.interrupts.received:
             return
         if limit:
-            self._printer.note(f"no answer from the server after {seconds:g} s; giving up")
+            note(f"no answer from the server after {seconds:g} s; giving up")
             sending.cancel()
         else:
-            self._printer.note(f"no answer from the server for {seconds:g} s; waiting for it")
+            note(f"no answer from the server for {seconds:g} s; waiting for it")
 
     async def _time_out(self, sent: Followed, seconds: float) -> None:
         """Cancel the goal after ``seconds``, unless the goal has ended by then."""
         await anyio.sleep(seconds)
         if not sent.handle.status.is_terminal:  # or it ended in the same moment
-            self._printer.note(f"no result after {seconds:g} s")
+            note(f"no result after {seconds:g} s")
             self._printer.canceling()
             await self._cancel(sent, TIMEOUT, PATIENCE)
 
@@ -425,12 +404,12 @@ class GoalSender:
             self._awaits_cancel = False
             if sent.handle.status is GoalStatus.CANCELING or sent.handle.status.is_terminal:
                 await anyio.sleep_forever()
-            self._printer.note("the server refuses to cancel the goal")
+            note("the server refuses to cancel the goal")
         self._let_go(sent, status)
 
     def _let_go(self, sent: Followed, status: int) -> NoReturn:
         self._printer.close()
-        self._printer.note(self._way_back(sent))
+        note(self._way_back(sent))
         leave(status)
 
     def _way_back(self, sent: Followed) -> str:
@@ -452,11 +431,6 @@ class GoalSender:
         return self._is_embedded or graph.is_served(
             sent.node, self._name, sent.action_type.type_name
         )
-
-    def _interrupted(self) -> int:
-        how = "interrupted" if self._interrupts.received else "given up"
-        self._printer.note(f"{how} before the goal was accepted, so it was withdrawn")
-        return self._interrupts.status if self._interrupts.received else TIMEOUT
 
     def _last_words(self) -> str:
         """Return what to print when a second signal ends the process."""

@@ -87,10 +87,7 @@ def run(service: Service) -> int:
     if board is not None:
         interrupts.restore = board.close
     log = ServerLog(board, is_json=service.log_format == "json")
-    try:
-        status = interrupts.run(Server(service, log, interrupts).serve())
-    finally:
-        interrupts.restore()
+    status = interrupts.run(Server(service, log, interrupts).serve())
     if interrupts.received:
         return 0
     return _restart() if status == RELOAD else status

@@ -11,29 +11,28 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
 
 from turtleact.commands import graph
-from turtleact.commands.graph import no_router, none_in_domain, world_started
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import note, say
 from turtleact.commands.screen import Screen, can_move, can_read_keys, cbreak, typed_keys
-from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
-from turtleact.node import Node, open_node
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
+    from contextlib import AbstractAsyncContextManager
+
     from turtleact.commands.live import Picture
     from turtleact.commands.settings import ConnectOptions
     from turtleact.commands.world_map import Turtle
     from turtleact.goals.client import ClientGoalHandle
+    from turtleact.node import Node
 
 __all__ = ["TeleopOptions", "run"]
 
@@ -109,42 +108,29 @@ def run(order: TeleopOptions) -> int:
     is_live = not order.is_plain and can_move(sys.stdout)
     interrupts = Interrupts()
 
-    async def drive(found: tuple[Node, str]) -> int:
-        await _Driving(order, *found, is_live=is_live).run()
+    async def drive(node: Node) -> int:
+        turtle = _choose(_wanted(order), _turtles_in_reach(node))
+        await _Driving(order, node, turtle, is_live=is_live).run()
         return OK
 
     with cbreak(sys.stdin) as interrupts.restore:
-        return interrupts.run(graph.use(_find_node(order), drive))
+        return interrupts.run(graph.use(_open_node(order), drive))
 
 
-@asynccontextmanager
-async def _find_node(order: TeleopOptions) -> AsyncIterator[tuple[Node, str]]:
-    """Open a node on the graph, or in an embedded world if no turtle is in reach.
+def _open_node(order: TeleopOptions) -> AbstractAsyncContextManager[Node]:
+    """Open a node on the graph, or in an embedded world if no turtle is in reach."""
+    wanted = _wanted(order)
 
-    The context manager yields the node and the name of the turtle to drive.
-    """
-    why, wanted = "", _wanted(order)
-    async with AsyncExitStack() as stack:
-        if order.reach is not None:
-            opened = graph.open_transport(order.reach)
-            transport = await graph.enter_if_there(stack, order.reach, opened)
-            why = no_router(order.reach)
-            if transport is not None:
-                opening = open_node("teleop_turtle", transport=transport)
-                node = await stack.enter_async_context(opening)
-                turtles = _turtles_in_reach(node)
-                if turtles or order.reach.connect:
-                    yield node, _choose(wanted, turtles)
-                    return
-                why = await none_in_domain(transport, order.reach, "turtles")
-                await stack.aclose()
+    async def has_turtles(node: Node) -> bool:
+        return bool(_turtles_in_reach(node))
+
+    def world(_why: str) -> AbstractAsyncContextManager[Node]:
         if wanted not in ("", "turtle1"):
             raise TurtleactError(f"no turtle '{wanted}' is in reach, and no other turtle")
-        world = await stack.enter_async_context(embedded_world(1.0, 0))
-        opening = open_node("teleop_turtle", transport=world.transport)
-        node = await stack.enter_async_context(opening)
-        note(world_started(why))
-        yield node, "turtle1"
+        return graph.embedded_world()
+
+    enter = partial(graph.enter_graph, name="teleop_turtle")
+    return graph.open_or_embed(order.reach, "turtles", has_turtles, world, enter)
 
 
 def _choose(wanted: str, turtles: list[str]) -> str:
