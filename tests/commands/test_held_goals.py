@@ -244,7 +244,12 @@ def test_an_action_with_one_running_goal_stands_for_it(on_graph, graphs, name):
 def test_of_an_action_with_several_goals_one_is_given_or_all(on_graph, graphs):
     ran = on_graph(graphs.goals, "cancel", "hold")
     assert (ran.status, ran.out) == (2, "")
-    assert "action '/hold' has 2 running goals, give one: " in ran.err
+    assert "action '/hold' has 2 running goals, give one or --all: " in ran.err
+
+
+def test_an_action_without_a_running_goal_has_none_to_cancel(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "fail")
+    assert (ran.status, ran.out) == (1, "/fail: not canceled: it has no running goal\n")
 
 
 def test_on_a_terminal_the_clients_of_goals_are_explained(on_graph, graphs, monkeypatch):

@@ -8,6 +8,9 @@ import socket
 
 import pytest
 
+from turtleact.commands import send_goal
+from turtleact.interfaces.types import REGISTRY
+
 from ..robots import FILES, write_package
 
 ROBOT = """
@@ -94,6 +97,16 @@ def test_no_node_is_asked_with_no_learn(at_robot, cache, line):
     ran = at_robot(*line, "--no-learn")
     assert (ran.status, "is not known here: source the ROS workspace" in ran.err) == (1, True)
     assert not cache.exists()
+
+
+def test_definitions_that_differ_are_told_before_the_timeout(turtleact, robot, cache, monkeypatch):
+    file = cache.parents[1] / "robot_msgs" / "action" / "Dig.action"
+    file.parent.mkdir(parents=True)
+    file.write_text("string where\n---\n---\n")
+    monkeypatch.setattr(send_goal, "PATIENCE", 1.0)
+    with REGISTRY.isolated():
+        ran = turtleact("send-goal", "/dig", "-t", "0.1", "--no-learn", "--connect", robot)
+    assert (ran.status, "the definitions of robot_msgs/action/Dig differ" in ran.err) == (1, True)
 
 
 PROGRAM = """

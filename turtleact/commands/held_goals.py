@@ -214,9 +214,9 @@ async def change(node: Node, selected: Selection, what: Change, timeout: float =
             meant = [goal for goal in await _with_pauses(node, meant) if goal.is_paused]
         chosen: list[tuple[str, HeldGoal | None]] = [(goal.goal_id.hex(), goal) for goal in meant]
     else:
-        chosen = [(name, _find(node, goals, name)) for name in selected.names]
-    lacks = "no server in reach holds it"
-    problems = [f"{lacks}; {_silence(silent)}" if silent else lacks] * len(chosen)
+        chosen = [(name, _find(node, goals, name, " or --all")) for name in selected.names]
+    why = f"; {_silence(silent)}" if silent else ""
+    problems = [_lack(text) + why for text, _ in chosen]
 
     async def ask(number: int, goal: HeldGoal) -> None:
         problems[number] = await _problem(node, goal, what, timeout)
@@ -289,16 +289,16 @@ async def _find_one(node: Node, wanted: str) -> HeldGoal:
     return found
 
 
-def _find(node: Node, goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
+def _find(node: Node, goals: Iterable[HeldGoal], wanted: str, others: str = "") -> HeldGoal | None:
     """Return the goal that an id's beginning or an action's full name selects, if there is one.
 
     Raises:
-        UsageError: if several goals match ``wanted``.
+        UsageError: if several goals match ``wanted``. The error also offers ``others``.
         ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
     """
     if wanted.startswith("/"):
         found = _all_of(node, goals, Selection([wanted]))
-        problem = f"action '{wanted}' has {len(found)} running goals, give one"
+        problem = f"action '{wanted}' has {len(found)} running goals, give one{others}"
     else:
         found = [goal for goal in goals if goal.goal_id.hex().startswith(wanted)]
         problem = f"'{wanted}' is the beginning of several goals"
@@ -324,6 +324,11 @@ def _all_of(node: Node, goals: Iterable[HeldGoal], selected: Selection) -> list[
         and goal.action in (selected.names or served)
         and (not selected.before or goal.stamp <= selected.before)
     ]
+
+
+def _lack(text: str) -> str:
+    """Return why there is no goal for the beginning of an id, or for the name of an action."""
+    return "it has no running goal" if text.startswith("/") else "no server in reach holds it"
 
 
 def _silence(silent: list[str]) -> str:

@@ -279,12 +279,14 @@ class GoalSender:
         async with anyio.create_task_group() as beside:
             sending = anyio.CancelScope()
             beside.start_soon(self._heed_signal)
-            beside.start_soon(self._heed_silence, sending)
             if not self._is_embedded:
                 beside.start_soon(graph.note_pause, node)
             try:
                 with sending:
                     await client.wait_for_server(PATIENCE)
+                    # Not earlier: a server that defines the type differently is never reached, and
+                    # the error of `send_goal` says so.
+                    beside.start_soon(self._heed_silence, sending)
                     async with client.send_goal(goal, reattach=self._request.reattach) as handle:
                         self.interrupts.cancels = False
                         self._sent = Followed(node, self._name, action_type, handle)
