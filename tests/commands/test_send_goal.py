@@ -333,24 +333,6 @@ def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monk
     ]
 
 
-@asynccontextmanager
-async def late(transport):
-    """A server that answers late, even to a goal that is withdrawn."""
-
-    async def think(goal):
-        try:
-            if goal.order:
-                signal.raise_signal(signal.SIGINT)
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await anyio.sleep(0.05)
-
-    async with open_node("stage", transport=transport) as node:
-        node.action_server(Fibonacci, "/stuck", think, goal_callback=think)
-        yield
-
-
 def test_a_server_that_does_not_take_the_goal_is_told_of(start):
     program = start("send-goal", "consider")
     for line in iter(program.stderr.readline, ""):
