@@ -17,9 +17,9 @@ from turtleact.interfaces import (
     load_interfaces,
     type_hash,
 )
+from turtleact.interfaces.learned import describe
 from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
 from turtleact.interfaces.types import REGISTRY
-from turtleact.node.type_descriptions import describe
 from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 

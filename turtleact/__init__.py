@@ -78,8 +78,15 @@ if TYPE_CHECKING:
         load_service,
     )
     from turtleact.journal import Journal, JournalError, open_journal
-    from turtleact.node import ActionServer, Node, ServerGoalHandle, Tick, Timer, open_node
-    from turtleact.node.learning import learn_interface
+    from turtleact.node import (
+        ActionServer,
+        Node,
+        ServerGoalHandle,
+        Tick,
+        Timer,
+        learn_interface,
+        open_node,
+    )
     from turtleact.node.parameter_rules import parameter
     from turtleact.node.parameters import Parameter
     from turtleact.node.services import ServiceClient, ServiceServer
@@ -200,8 +207,15 @@ _HOMES = {
         "load_service",
     ),
     "journal": ("Journal", "JournalError", "open_journal"),
-    "node": ("ActionServer", "Node", "ServerGoalHandle", "Tick", "Timer", "open_node"),
-    "node.learning": ("learn_interface",),
+    "node": (
+        "ActionServer",
+        "Node",
+        "ServerGoalHandle",
+        "Tick",
+        "Timer",
+        "learn_interface",
+        "open_node",
+    ),
     "node.parameters": ("Parameter",),
     "node.parameter_rules": ("parameter",),
     "node.services": ("ServiceClient", "ServiceServer"),

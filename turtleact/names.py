@@ -16,6 +16,7 @@ import msgspec
 from turtleact.errors import InvalidName
 
 __all__ = [
+    "DESCRIBE",
     "EVENT_SUFFIX",
     "PARAMETER_SERVICES",
     "ActionNames",
@@ -25,6 +26,9 @@ __all__ = [
     "validate_name",
     "validate_node_name",
 ]
+
+DESCRIBE = "get_type_description"
+"""The service that describes the types of a node, after the node's name."""
 
 PARAMETER_SERVICES = (
     "describe_parameters",

@@ -24,8 +24,8 @@ from turtleact.interfaces.standard.diagnostic_msgs.msg import (
     DiagnosticStatus,
     KeyValue,
 )
+from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
 from turtleact.node import Node
-from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
 from turtleact.transports.rmw_zenoh import services
@@ -226,11 +226,11 @@ async def test_a_node_describes_its_types_once_another_process_asks(address):
         name = "/lab/get_type_description"
         assert not node.transport.endpoints(name)
         asker = await graph.node("asker")
-        service: Any = get_interface(GET_TYPE_DESCRIPTION)
         for _ in range(2):  # the second time, it is there already
-            client = asker.service_client(service, name)
+            client = asker.service_client(GetTypeDescription, name)
             assert await client.wait_for_service()
-            response: Any = await client.call(service.Request(type_hash=hash_of(Twist)))
+            request = GetTypeDescription.Request(type_hash=hash_of(Twist))
+            response = await client.call(request)
             assert response.type_description.type_description.type_name == Twist.type_name
             await client.aclose()
         await node.aclose()
@@ -241,8 +241,7 @@ async def test_a_node_describes_its_types_once_another_process_asks(address):
 async def test_a_node_that_opens_late_finds_that_it_is_asked_already(address):
     async with graph_at(address) as graph:
         asker = await graph.node("asker")
-        service: Any = get_interface(GET_TYPE_DESCRIPTION)
-        client = asker.service_client(service, "/late/get_type_description")
+        client = asker.service_client(GetTypeDescription, "/late/get_type_description")
         transport = await graph.session()
         while not transport.endpoints("/late/get_type_description"):
             await transport.wait_for_change()

@@ -265,8 +265,8 @@ async def test_a_text_that_is_too_long_or_does_not_fit_is_not_used(package):
         battery: Any = await learn_interface(node, "battery")
         assert authored_text(battery) == ""
         assert robot.notes == [
-            f"the constants and comments of {BATTERY} are missing: its description has more than "
-            "1,000,000 characters of text"
+            f"the constants, comments and defaults of {BATTERY} are missing: "
+            "its description has more than 1,000,000 characters of text"
         ]
 
 

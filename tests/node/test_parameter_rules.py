@@ -13,15 +13,14 @@ from turtleact.errors import InvalidOption, InvalidParameter
 from turtleact.interfaces.standard.rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
-    Parameter,
     ParameterValue,
 )
 from turtleact.node.parameter_rules import (
     KINDS,
-    ParameterTable,
     descriptor_of,
     fitted,
     message_of,
+    misfit,
     out_of_range,
     value_of,
 )
@@ -175,22 +174,12 @@ def test_a_declaration_keeps_its_default():
     assert (declared.default, repr(declared)) == ([1.0], "<ParameterDeclaration 'gains'>")
 
 
-# --- the table ------------------------------------------------------------------------------
+# --- what rclcpp says -----------------------------------------------------------------------
 
-
-def table():
-    made = ParameterTable()
-    for name, value, bounds in (
-        ("depth", 5, (0, 9)),
-        ("is_open", False, None),
-        ("width", 0.5, (0, 1)),
-        ("fixed", 1, None),
-    ):
-        message = message_of(name, value)
-        is_fixed = name == "fixed"
-        made.declare(descriptor_of(name, message.type, bounds=bounds, read_only=is_fixed), message)
-    return made
-
+TABLE = {
+    name: descriptor_of(name, kind, bounds=bounds, read_only=name == "fixed")
+    for name, kind, bounds in [("depth", 2, (0, 9)), ("width", 3, (0, 1)), ("fixed", 2, None)]
+}
 
 WRONG = (
     "Wrong parameter type, parameter {depth} is of type {integer}, setting it to {%s} is not"
@@ -206,44 +195,13 @@ REFUSED = [
     ("depth", ParameterValue(99), WRONG % "unknown type 99"),
     ("depth", ParameterValue(), "cannot undeclare a statically typed parameter"),
     ("fixed", message_of("", 2), "parameter 'fixed' cannot be set because it is read-only"),
-    ("height", message_of("", 2), "parameter 'height' cannot be set because it was not declared"),
 ]
 
 
 @together
 @pytest.mark.parametrize(("name", "value", "reason"), REFUSED)
 def test_what_a_parameter_cannot_be_is_refused_in_rclcpps_words(name, value, reason):
-    assert table().problem([Parameter(name, value)]) == reason
-
-
-def test_one_misfit_spoils_the_company():
-    good, bad = Parameter("is_open", message_of("", True)), Parameter("depth", message_of("", 10))
-    assert table().problem([good]) == ""
-    assert table().problem([good, bad]).startswith("Parameter {depth} doesn't comply")
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "problem"),
-    [
-        ("depth", 10, "parameter 'depth': it takes 0 to 9, not 10"),
-        ("depth", "deep", "parameter 'depth': expected a whole number, not 'deep'"),
-        ("fixed", 2, "parameter 'fixed': it is read-only"),
-        ("dept", 2, "parameter 'dept': it is not declared, did you mean 'depth'?"),
-    ],
-)
-def test_what_a_program_cannot_assign_is_an_error(name, value, problem):
-    with pytest.raises(InvalidParameter, match=f"^{re.escape(problem)}$"):
-        table().convert(name, value)
-
-
-def test_a_parameter_is_declared_once():
-    with pytest.raises(InvalidParameter, match="it is declared already: choose another name"):
-        table().declare(descriptor_of("depth", 2), message_of("depth", 1))
-
-
-def test_a_check_decides_about_the_first_value_too():
-    with pytest.raises(InvalidParameter, match=r"^parameter 'x': no$"):
-        table().declare(descriptor_of("x", 2), message_of("x", 1), lambda _: "no")
+    assert misfit(TABLE[name], value) == reason
 
 
 @together

@@ -223,6 +223,21 @@ async def test_an_assignment_is_seen_by_all():
     assert event.changed_parameters == [Message("depth", integer(7))]
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("depth", 10, "parameter 'depth': it takes 0 to 9, not 10"),
+        ("depth", "deep", "parameter 'depth': expected a whole number, not 'deep'"),
+        ("fixed", 2, "parameter 'fixed': it is read-only"),
+    ],
+)
+async def test_what_a_program_cannot_assign_is_an_error(name, value, problem):
+    async with desk() as here:
+        here.node.parameter("fixed", 1, read_only=True)
+        with pytest.raises(InvalidParameter, match=f"^{problem}$"):
+            here.node.parameter(name).value = value
+
+
 async def test_the_value_that_it_has_is_no_change():
     async with desk() as here:
         here.depth.value = 5

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from turtleact import open_node
-from turtleact.interfaces import get_interface, implied, interface_source, type_hash
+from turtleact.interfaces import implied, interface_source, type_hash
 from turtleact.interfaces.standard import Fibonacci, GoalStatusArray, Point
 from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter
+from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
 from turtleact.interfaces.type_hash import structure_hash
-from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, TYPE_HASH, offer_descriptions
+from turtleact.node.learning import offer_descriptions
 from turtleact.transports import MemoryTransport
 
 pytestmark = pytest.mark.loops("asyncio")
@@ -25,16 +26,15 @@ async def fibonacci(goal):
 @asynccontextmanager
 async def asking():
     """A function that asks the node ``/lab`` for the type with a hash."""
-    service: Any = get_interface(GET_TYPE_DESCRIPTION)
     transport = MemoryTransport()
     async with open_node("lab", transport=transport) as lab:
         lab.publisher(Parameter, "parameter")
         lab.action_server(Fibonacci, "fibonacci", fibonacci)
         offer_descriptions(transport, "/lab")
-        client = lab.service_client(service, "/lab/get_type_description")
+        client = lab.service_client(GetTypeDescription, "/lab/get_type_description")
 
-        async def ask(type_hash: str, **fields: object) -> Any:
-            return await client.call(service.Request(type_hash=type_hash, **fields))
+        async def ask(type_hash: str, **fields: Any) -> Any:
+            return await client.call(GetTypeDescription.Request(type_hash=type_hash, **fields))
 
         yield ask
 
@@ -83,7 +83,3 @@ async def test_sources_are_left_out_unless_asked_for():
         response = await ask(type_hash(Parameter), include_type_sources=False)
         assert response.successful
         assert not response.type_sources
-
-
-def test_the_hash_that_is_written_down_is_that_of_the_service():
-    assert type_hash(get_interface(GET_TYPE_DESCRIPTION)) == TYPE_HASH

@@ -1,4 +1,4 @@
-"""Makes classes from the description of a type that another node has sent, and keeps them.
+"""Describes types as nodes do, makes classes from the descriptions of other nodes, and keeps them.
 
 A description has the fields of a type and of all types in it, but no constants and no comments.
 Those are in the text of the interface, which a node may send too. Nothing here is trusted:
@@ -10,25 +10,26 @@ The classes are not registered, so `get_interface` never returns them. A message
 is made only if it differs from the one that is known here. So a learned goal takes the poses that
 the program already has.
 
-The user's cache folder has one file for each type name and hash, with the description of the type
-and the texts that came with it. Defaults are left out, because the hash does not cover them:
-another node of the same hash may have others. A file is verified again whenever it is read, so a
-file that was changed or that lies under a wrong name is not used.
+Defaults are taken from the text of an interface alone, because the description of a text in ROS 2
+garbles some letters.
 
-Source: REP 2016; ``type_description_interfaces/msg/FieldType.msg``; for the text of defaults,
-``rosidl_generator_type_description/__init__.py``.
+The user's cache folder has one file for each type name and hash, with the description of the type
+and the texts that came with it. A class from there has no defaults, because the hash does not cover
+them: another node of the same hash may have others. A file is verified again whenever it is read,
+so a file that was changed or that lies under a wrong name is not used.
+
+Source: REP 2016; ``type_description_interfaces/msg/FieldType.msg``.
 """
 
 from __future__ import annotations
 
-import ast
 import json
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from turtleact.errors import InvalidInterface, InvalidMessage, TurtleactError
+from turtleact.errors import InvalidInterface, TurtleactError
 from turtleact.interfaces.classes import make_interface, make_message
 from turtleact.interfaces.conversion import from_dict, to_dict
 from turtleact.interfaces.definition import (
@@ -37,23 +38,26 @@ from turtleact.interfaces.definition import (
     Field,
     FieldType,
     MessageDefinition,
-    Primitive,
     parts_of,
     type_name_pattern,
 )
-from turtleact.interfaces.loading import installed_class
-from turtleact.interfaces.parse import literal, parse
+from turtleact.interfaces.loading import authored_text, installed_class, interface_text
+from turtleact.interfaces.parse import parse
 from turtleact.interfaces.standard.type_description_interfaces.msg import (
     IndividualTypeDescription,
+    TypeDescription,
     TypeSource,
 )
+from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
 from turtleact.interfaces.type_hash import (
     BOUNDED_STRING,
     FORM_IDS,
     NESTED_ID,
     PLACEHOLDER,
     TYPE_IDS,
+    description,
     field_type,
+    referenced,
     type_hash,
 )
 from turtleact.interfaces.types import (
@@ -61,11 +65,9 @@ from turtleact.interfaces.types import (
     REGISTRY,
     Interface,
     Message,
-    definition,
     fields,
     nested_classes,
 )
-from turtleact.interfaces.values import converter
 
 if TYPE_CHECKING:
     from turtleact.interfaces.standard.type_description_interfaces import msg
@@ -76,7 +78,7 @@ __all__ = [
     "cached",
     "cached_names",
     "cached_types",
-    "default_text",
+    "describe",
     "keep",
     "remember",
 ]
@@ -84,16 +86,10 @@ __all__ = [
 MOST_TYPES: Final = 1_000
 MOST_FIELDS: Final = 10_000
 LONGEST_TEXT: Final = 1_000_000
-"""The most characters that the texts and defaults of a description may have together."""
-
-DEEPEST: Final = 50
-"""How deep messages may be nested. In ROS's own packages, no message is nested deeper than 8."""
-
-LONGEST_FILE: Final = 4_000_000
-"""The most bytes of a file that is read."""
+"""The most characters that the texts of a description may have together."""
 
 LARGEST: Final = 1_000_000
-"""The most values that a new message may have: the arrays of fixed length, multiplied."""
+"""The most values that the arrays of fixed length may have together."""
 
 FORMS: Final = {number // 48: form for form, number in FORM_IDS.items()}
 NAMES: Final = {number: name for name, number in TYPE_IDS.items() if name != "char"}
@@ -114,8 +110,8 @@ class LearnedTypes:
     Args:
         described: The descriptions of an interface and of all types in it.
         sources: The texts of these types. A text that does not fit its description is not used.
-        with_defaults: Whether fields get the defaults in the description and the texts. Without, a
-            field starts with zero, unless its message is known here.
+        with_defaults: Whether fields get the defaults in the texts. Without, a field starts with
+            zero, unless its message is known here.
 
     Attributes:
         has_own_defaults: Whether a class that was made, not known, has a default.
@@ -126,8 +122,8 @@ class LearnedTypes:
 
     def __init__(
         self,
-        described: Iterable[msg.IndividualTypeDescription],
-        sources: Iterable[msg.TypeSource] = (),
+        described: Iterable[IndividualTypeDescription],
+        sources: Iterable[TypeSource] = (),
         *,
         with_defaults: bool = True,
     ) -> None:
@@ -136,9 +132,7 @@ class LearnedTypes:
         self._with_defaults = with_defaults
         self._check_size()
         self._written = self._read_texts()
-        self._made: dict[str, type[Message]] = {}
-        self._making: list[str] = []
-        self._sizes: dict[str, int] = {}
+        self._made: dict[str, type[Message] | None] = {}  # None while it is made
         self.has_own_defaults = False
 
     def interface(self, type_name: str) -> Interface:
@@ -154,68 +148,41 @@ class LearnedTypes:
             return self._message(type_name)
         names = PARTS["srv" if is_service else "action"]
         whole = tuple(self._definition(f"{type_name}_{part}") for part in names)
-        definition = CompoundDefinition(type_name, whole)
-        made = make_interface(definition, self._message, register=False)
-        self._keep(made, *(getattr(made, part) for part in names))
+        made = make_interface(CompoundDefinition(type_name, whole), self._message, register=False)
+        self._keep(made, whole, [getattr(made, part) for part in names])
         return made
 
     def _message(self, type_name: str) -> type[Message]:
         """Return the class of a message: the one that is known here, or a new one."""
-        if type_name in self._made:
-            return self._made[type_name]
-        if type_name in self._making:
+        if type_name not in self._made:
+            self._made[type_name] = None
+            said = self._definition(type_name)
+            made = make_message(said, self._message, register=False)
+            known = self._known(made)
+            if known is None:
+                self._keep(made, (said,))
+            self._made[type_name] = known or made
+        found = self._made[type_name]
+        if found is None:
             raise InvalidInterface("a message contains itself", source=type_name)
-        if len(self._making) == DEEPEST:
-            problem = f"messages are nested more than {DEEPEST} deep"
-            raise InvalidInterface(problem, source=type_name)
-        self._making.append(type_name)
-        made = make_message(self._definition(type_name), self._message, register=False)
-        self._making.pop()
-        known = self._known(made)
-        if known is None:
-            self._keep(made)
-        self._made[type_name] = known or made
-        return known or made
+        return found
 
     def _definition(self, type_name: str) -> MessageDefinition:
         """Return the definition of a message or of a part, with the constants of its text."""
         said = self._described.get(type_name)
         if said is None:
             raise InvalidInterface("it is used, but not described", source=type_name)
-        rows = [each for each in said.fields if each.name != PLACEHOLDER.name]
-        found = tuple(self._field(type_name, each) for each in rows)
+        found = tuple(
+            Field(each.name, _type_of(each.type, f"{type_name}, field '{each.name}'"))
+            for each in said.fields
+            if each.name != PLACEHOLDER.name
+        )
         written = self._written.get(type_name)
         if written is None or _shape(written.fields) != _shape(found):
+            self._written.pop(type_name, None)
             return MessageDefinition(type_name, found)
-        # The text of a default is exact; the description of a text in ROS 2 garbles some letters.
-        return (
-            written
-            if self._with_defaults
-            else MessageDefinition(type_name, found, written.constants)
-        )
-
-    def _field(self, owner: str, said: msg.Field) -> Field:
-        kind = _type_of(said.type, f"{owner}, field '{said.name}'")
-        each = 1
-        if kind.is_nested:
-            self._message(kind.name)
-            each = self._sizes.get(kind.name, 1)
-        size = self._sizes.get(owner, 0) + each * (kind.size if _is_fixed(kind) else 1)
-        if size > LARGEST:
-            raise InvalidInterface(f"it has more than {LARGEST:,} values", source=owner)
-        self._sizes[owner] = size
-        return Field(said.name, kind, self._default(kind, said.default_value))
-
-    def _default(self, kind: FieldType, text: str) -> Primitive | tuple[Primitive, ...] | None:
-        """Return the default in a description; None if there is none, or if it cannot be read."""
-        if not text or kind.is_nested or not self._with_defaults:
-            return None
-        try:
-            value = ast.literal_eval(text) if kind.is_sequence else literal(text, kind)
-            checked = converter(kind)(value)
-        except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError, InvalidMessage):
-            return None
-        return tuple(checked) if isinstance(checked, list | bytes) else cast("Primitive", checked)
+        with_defaults = written.fields if self._with_defaults else found
+        return MessageDefinition(type_name, with_defaults, written.constants)
 
     def _known(self, made: type[Message]) -> type[Message] | None:
         """Return the class of this name that is known here, if the two do not differ."""
@@ -230,15 +197,15 @@ class LearnedTypes:
         defaults_fit = _defaults(ours) == _defaults(theirs) or not self._with_defaults
         return known if is_same and defaults_fit else None
 
-    def _keep(self, made: Interface, *parts: type[Message]) -> None:
+    def _keep(
+        self,
+        made: Interface,
+        said: tuple[MessageDefinition, ...],
+        parts: Iterable[type[Message]] = (),
+    ) -> None:
         """Keep the text of a new class, and look whether the class has defaults."""
-        said = [definition(each) for each in parts or (cast("type[Message]", made),)]
         self.has_own_defaults |= any(any(_defaults(each.fields)) for each in said)
-        written = [self._written.get(each.type_name) for each in said]
-        if all(
-            one and _shape(one.fields) == _shape(each.fields)
-            for one, each in zip(written, said, strict=True)
-        ):
+        if all(each.type_name in self._written for each in said):
             text = self._texts[made.type_name].raw_file_contents
             REGISTRY.texts |= dict.fromkeys((made, *parts), text)
 
@@ -253,22 +220,17 @@ class LearnedTypes:
         return found
 
     def _check_size(self) -> None:
-        types = self._described.values()
-        lengths = [len(each.raw_file_contents) for each in self._texts.values()]
-        lengths += [len(field.default_value) for each in types for field in each.fields]
+        fields = [field for each in self._described.values() for field in each.fields]
+        texts = [each.raw_file_contents for each in self._texts.values()]
         for count, most, what in (
             (len(self._described), MOST_TYPES, "types"),
-            (sum(len(each.fields) for each in types), MOST_FIELDS, "fields"),
-            (sum(lengths), LONGEST_TEXT, "characters of text"),
+            (len(fields), MOST_FIELDS, "fields"),
+            (sum(field.type.capacity for field in fields if _is_fixed(field)), LARGEST, "values"),
+            (sum(map(len, texts)), LONGEST_TEXT, "characters of text"),
         ):
             if count > most:
                 problem = f"its description has more than {most:,} {what}"
                 raise InvalidInterface(problem, source=next(iter(self._described), ""))
-
-
-def default_text(default: Primitive | tuple[Primitive, ...] | None) -> str:
-    """Return a default as a description has it; empty if there is none."""
-    return "" if default is None else str(default)
 
 
 def _type_of(said: msg.FieldType, where: str) -> FieldType:
@@ -286,8 +248,8 @@ def _type_of(said: msg.FieldType, where: str) -> FieldType:
     return FieldType(name, bound, FORMS[form_number], said.capacity)
 
 
-def _is_fixed(kind: FieldType) -> bool:
-    return kind.form is ArrayForm.FIXED
+def _is_fixed(said: msg.Field) -> bool:
+    return FORMS.get(said.type.type_id // 48) is ArrayForm.FIXED
 
 
 def _shape(members: Iterable[Field]) -> list[tuple[str, object]]:
@@ -296,7 +258,35 @@ def _shape(members: Iterable[Field]) -> list[tuple[str, object]]:
 
 
 def _defaults(members: Iterable[Field]) -> list[str]:
-    return [default_text(each.default) for each in members]
+    return ["" if each.default is None else repr(each.default) for each in members]
+
+
+def describe(found: Interface, *, has_sources: bool) -> GetTypeDescription.Response:
+    """Return a node's answer that describes a class, perhaps with the texts of all its types."""
+    others = referenced(found)
+    types = [found, *(others[name] for name in sorted(others))]
+    whole, *nested = [_described(each) for each in types]
+    return GetTypeDescription.Response(
+        successful=True,
+        type_description=TypeDescription(whole, nested),
+        type_sources=[_source(each) for each in types] if has_sources else [],
+    )
+
+
+def _described(cls: Interface) -> IndividualTypeDescription:
+    said = from_dict(IndividualTypeDescription, description(cls))
+    own = fields(cls) if issubclass(cls, Message) else ()
+    for row, field in zip(said.fields, own, strict=False):  # an empty message has a row, no field
+        row.default_value = "" if field.default is None else str(field.default)
+    return said
+
+
+def _source(cls: Interface) -> TypeSource:
+    name = cls.type_name
+    _package, kind, last = name.split("/")
+    if "_" in last:  # no name in an interface file has one
+        return TypeSource(name, "implicit", "")
+    return TypeSource(name, kind, authored_text(cls) or interface_text(cls))
 
 
 class Known(NamedTuple):
@@ -328,14 +318,10 @@ def folder() -> Path:
 
 def keep(known: Known) -> None:
     """Write a learned type to the cache. If that fails, it is learned again the next time."""
-    described = [to_dict(each) for each in known.described]
-    for each in described:
-        for field in each["fields"]:  # type: ignore[attr-defined]  # a list of dicts
-            field["default_value"] = ""
     content = {
         "node": known.node,
         "has_own_defaults": known.has_own_defaults,
-        "types": described,
+        "types": [to_dict(each) for each in known.described],
         "sources": [to_dict(each) for each in known.sources],
     }
     path = folder() / known.interface.type_name / f"{known.type_hash}.json"
@@ -357,7 +343,7 @@ def cached(type_name: str) -> Iterator[Known]:
     """Yield every version of a type that the cache has, the one that was learned last first."""
     if type_name_pattern.fullmatch(type_name):
         files = (folder() / type_name).glob("RIHS01_*.json")
-        for path in sorted(files, key=_changed, reverse=True):
+        for path in sorted(files, key=lambda path: path.stat().st_mtime, reverse=True):
             with suppress(OSError, ValueError, KeyError, TypeError, TurtleactError):
                 yield _read(path, type_name)
 
@@ -376,8 +362,6 @@ def cached_types() -> Iterator[Known]:
 
 
 def _read(path: Path, type_name: str) -> Known:
-    if path.stat().st_size > LONGEST_FILE:
-        raise ValueError(path)
     content = json.loads(path.read_text("utf-8"))
     described = tuple(from_dict(IndividualTypeDescription, each) for each in content["types"])
     sources = tuple(from_dict(TypeSource, each) for each in content["sources"])
@@ -387,10 +371,3 @@ def _read(path: Path, type_name: str) -> Known:
         raise ValueError(path)
     node, has_own = str(content["node"]), bool(content["has_own_defaults"])
     return Known(interface, path.stem, node, described, sources, has_own)
-
-
-def _changed(path: Path) -> float:
-    try:
-        return path.stat().st_mtime
-    except OSError:
-        return 0.0

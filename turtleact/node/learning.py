@@ -1,14 +1,18 @@
 """Learns types from the nodes that use them, so that this machine needs none of their files.
 
-A node of ROS 2 describes its types on the service ``NODE/get_type_description``, by their hash. The
-endpoints on the graph have the hashes of topics and services. An action has none there, so learning
-takes two steps: first the types of its three endpoints, which hold the goal, the result and the
-feedback; then, by the hash of the action itself, its text.
+A node of ROS 2 describes its types on the service ``NODE/get_type_description``, by their hash
+alone. The endpoints on the graph have the hashes of topics and services. An action has none there,
+so learning takes two steps: first the types of its three endpoints, which hold the goal, the result
+and the feedback; then, by the hash of the action itself, its text.
 
 Whatever a node says is checked: the class made from a description must have the hash that was asked
 for. Learned classes stand in ``REGISTRY.learned`` by name and hash, and in the user's cache.
 
-Source: rcl ``node_type_cache.c`` and ``type_description_service``; REP 2016.
+`offer_descriptions` serves the same service. A node opens it only when another process looks for
+it. Until then, it costs nothing.
+
+Source: ``type_description_interfaces/srv/GetTypeDescription``; rcl ``node_type_cache.c`` and
+``type_description_service``; REP 2016.
 """
 
 from __future__ import annotations
@@ -20,31 +24,33 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import anyio
 
-from turtleact.errors import (
-    InvalidInterface,
-    InvalidMessage,
-    NotLearned,
-    TurtleactError,
-)
-from turtleact.interfaces import Action, Message, WireFormat, get_interface, implied, type_hash
-from turtleact.interfaces.loading import installed_class
+from turtleact.errors import InvalidInterface, InvalidMessage, NotLearned, TurtleactError
+from turtleact.interfaces import Action, Message, WireFormat, implied, type_hash
+from turtleact.interfaces.learned import Known, LearnedTypes, cached, describe, keep, remember
+from turtleact.interfaces.loading import installed_class, known_classes
+from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
 from turtleact.interfaces.type_hash import first_difference, structure_hash
 from turtleact.interfaces.types import REGISTRY
-from turtleact.names import resolve_name
-from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, SERVICE, TYPE_HASH
-from turtleact.tasks.clock import check_timeout
-from turtleact.transports.base import Endpoint, EndpointKind, Target, Transport
+from turtleact.names import DESCRIBE
+from turtleact.transports.base import (
+    Closeable,
+    Endpoint,
+    EndpointKind,
+    Reply,
+    ServiceHandler,
+    Target,
+    Transport,
+)
 from turtleact.transports.graph import ENDPOINTS, SEND_GOAL, Kind, types_by_name
 
 if TYPE_CHECKING:
-    from turtleact.interfaces.learned import Known, LearnedTypes
     from turtleact.interfaces.types import Interface
 
-__all__ = ["Learner", "Use", "learn_interface", "uses_of"]
+__all__ = ["Learner", "Use", "offer_descriptions", "uses_of"]
 
 logger = logging.getLogger("turtleact.learning")
 
@@ -63,22 +69,6 @@ NO_ANSWER: Final = "does not answer; a node whose only thread runs a goal cannot
 
 PARTS: Final = ("_SendGoal", "_GetResult", "_FeedbackMessage")
 """The suffixes of the types of an action's endpoints."""
-
-
-class Participant(Protocol):
-    """What learning needs of a node."""
-
-    name: str
-    namespace: str
-    transport: Transport
-
-    @property
-    def fully_qualified_name(self) -> str:
-        """The namespace and the name."""
-
-    @property
-    def learner(self) -> Learner:
-        """What learns types for the node."""
 
 
 class Use(NamedTuple):
@@ -154,40 +144,6 @@ def _uses(transport: Transport, name: str, kind: Kind) -> Iterator[tuple[Use, st
                 yield Use(kind, end.type_name.removesuffix(PARTS[0]), each), end.node
 
 
-async def learn_interface(
-    node: Participant, name: str, kind: Kind | None = None, timeout: float | None = None
-) -> Interface:
-    """Return the class of an action, a service or a topic on the graph, whatever its type.
-
-    If this process does not know the type, or knows another definition of it, the type is learned
-    from the nodes that use it. `get_interface` does not return a learned class. Cancelling: safe.
-
-    Args:
-        node: A node on the graph.
-        name: The name of the action, service or topic. A relative name is resolved in the node's
-            namespace.
-        kind: ``"action"``, ``"service"`` or ``"topic"``; None for the one that has this name.
-        timeout: How long to wait for the name, and for nodes that do not answer (s, event loop
-            time). If left out, the name is awaited without a limit, and each node gets 2 s.
-
-    Raises:
-        NotLearned: if no node describes the type, or a description cannot be used.
-        TurtleactError: if nobody uses the name within ``timeout``, or if the name has several types
-            or kinds. The error lists them.
-    """
-    check_timeout(timeout)
-    full_name = resolve_name(name, node.namespace, node.name)
-    deadline = deadline_of(timeout)
-    learner = node.learner
-    with anyio.move_on_after(timeout):
-        while not learner.uses(full_name, kind):
-            await node.transport.wait_for_change()
-    if not learner.uses(full_name, kind):
-        what = kind or "action, service or topic"
-        raise TurtleactError(f"the graph has no {what} '{full_name}'")
-    return await learner.learn_name(full_name, kind, deadline)
-
-
 def deadline_of(timeout: float | None) -> float | None:
     """Return the event loop time at which a timeout ends."""
     return None if timeout is None else anyio.current_time() + timeout
@@ -210,33 +166,40 @@ def _is_name_of(given: str, type_name: str) -> bool:
 class Learner:
     """Learns types for one node; see `Node.learner`.
 
+    Args:
+        transport: The transport to the graph.
+        node: The full name of the node.
+
     Attributes:
         is_on: Whether nodes are asked. If not, only the types that are known here are used.
         note: Called with each line that the user should read, once.
     """
 
-    def __init__(self, node: Participant) -> None:
+    def __init__(self, transport: Transport, node: str) -> None:
+        self.transport = transport
+        self.is_on = True
+        self.note: Callable[[str], object] = logger.warning
         self._node = node
         self._noted: set[str] = set()
         self._seen: set[tuple[str, str]] = set()
         self._locks = defaultdict[str, anyio.Lock](anyio.Lock)
-        self.is_on = True
-        self.note: Callable[[str], object] = logger.warning
-
-    @property
-    def transport(self) -> Transport:
-        """The transport to the graph."""
-        return self._node.transport
 
     def uses(self, name: str, kind: Kind | None = None) -> dict[Use, list[str]]:
         """Return the types that a name has on the graph, with the nodes that use them."""
         return uses_of(self.transport, name, kind)
 
-    async def learn_name(
-        self, name: str, kind: Kind | None = None, deadline: float | None = None
+    async def wait_for(
+        self, name: str, kind: Kind | None = None, timeout: float | None = None
     ) -> Interface:
-        """Return the class of a name that is on the graph; see `learn_interface`."""
-        return await self.learn(*_only(name, self.uses(name, kind)), deadline)
+        """Return the class of a name; see `turtleact.learn_interface`."""
+        deadline = deadline_of(timeout)
+        with anyio.move_on_after(timeout):
+            while not self.uses(name, kind):
+                await self.transport.wait_for_change()
+        uses = self.uses(name, kind)
+        if not uses:
+            raise TurtleactError(f"the graph has no {kind or 'action, service or topic'} '{name}'")
+        return await self.learn(*_only(name, uses), deadline)
 
     def known(self, name: str, kind: Kind, type_name: str = "") -> Interface | None:
         """Return the class of a name if its type is known or was learned; otherwise None.
@@ -311,12 +274,6 @@ class Learner:
         found = known_class(use, nodes)
         if found is not None:
             return found
-        from turtleact.interfaces.learned import (  # a known type needs no cache
-            cached,
-            keep,
-            remember,
-        )
-
         if not all(map(HASH.fullmatch, filter(None, use.hashes))) or not use.hashes[0]:
             problem = f"node {nodes[0]} sends no type hash, as in ROS 2 Humble"
             raise NotLearned(use.type_name, problem)
@@ -404,8 +361,6 @@ class Learner:
 
     async def _ask_for(self, use: Use, holder: str) -> Known:
         """Ask one node for a type, then for the texts of the type."""
-        from turtleact.interfaces.learned import Known, LearnedTypes
-
         described: dict[str, Any] = {}
         suffixes = PARTS if use.kind == "action" else ("",)
         for suffix, wanted in zip(suffixes, use.hashes, strict=True):
@@ -430,44 +385,41 @@ class Learner:
         self, type_name: str, wanted: str, holder: str, types: tuple[Any, ...]
     ) -> tuple[tuple[Any, ...], LearnedTypes]:
         """Ask for the texts of a type. Without them, its constants and comments are missing."""
-        from turtleact.interfaces.learned import LearnedTypes
-
         try:
             answer = await self._ask(holder, type_name, wanted, with_texts=True)
             sources = tuple(answer.type_sources)
             return sources, LearnedTypes(types, sources)
         except (NotLearned, InvalidInterface) as error:
-            self._tell(f"the constants and comments of {type_name} are missing: {error.problem}")
+            missing = "constants, comments and defaults"
+            self._tell(f"the {missing} of {type_name} are missing: {error.problem}")
             return (), LearnedTypes(types)
 
     async def _ask(
         self, holder: str, type_name: str, wanted: str, *, with_texts: bool = False
-    ) -> Any:  # noqa: ANN401  # a response, of a class that is loaded now
+    ) -> GetTypeDescription.Response:
         """Ask one question, and return the answer.
 
         Raises:
             NotLearned: if there is no answer that describes a type of the wanted hash.
         """
-        service: Any = get_interface(GET_TYPE_DESCRIPTION)
-        transport, own = self._node.transport, self._node.fully_qualified_name
-        end = Endpoint("client", f"{holder}/{SERVICE}", GET_TYPE_DESCRIPTION, own)
-        format = _Answers(service)
-        caller = transport.join(end, format, Target(counts=partial(_matches, format, wanted)))
-        request = service.Request(type_name, wanted, include_type_sources=with_texts)
-        answer: Any = None
+        end = _endpoint("client", holder, self._node)
+        format = _Answers(GetTypeDescription, asks=True)
+        caller = self.transport.join(end, format, Target(counts=partial(_matches, format, wanted)))
+        request = GetTypeDescription.Request(type_name, wanted, include_type_sources=with_texts)
+        answer: GetTypeDescription.Response | None = None
         is_offered = False
         try:
             with anyio.move_on_after(QUESTION):
                 while not caller.is_served:
-                    await transport.wait_for_change()
+                    await self.transport.wait_for_change()
                 is_offered = True
-                answer = (await caller.call(request)).message
+                answer = cast("GetTypeDescription.Response", (await caller.call(request)).message)
         except TurtleactError as error:
             raise NotLearned(type_name, f"node {holder}: {error}") from None
         finally:
             caller.close()
         if not is_offered:
-            raise NotLearned(type_name, f"node {holder} offers no {SERVICE}")
+            raise NotLearned(type_name, f"node {holder} offers no {DESCRIBE}")
         if answer is None:
             raise NotLearned(type_name, f"node {holder} {NO_ANSWER}")
         if not answer.successful:
@@ -511,11 +463,6 @@ def _is_known(type_name: str) -> bool:
 class _Answers(WireFormat):
     """The wire format of the questions and answers, which refuses large answers."""
 
-    type_hash: str = TYPE_HASH
-
-    def __init__(self, service: Interface) -> None:
-        super().__init__(service, asks=True)
-
     def decode(self, data: bytes) -> Message:
         if len(data) > LARGEST:
             problem = f"the answer has {len(data):,} bytes, over {LARGEST:,}"
@@ -530,3 +477,45 @@ def _matches(format: _Answers, wanted: str, data: bytes) -> bool:
     except InvalidMessage:
         return False
     return answer.successful and structure_hash(answer.type_description) == wanted
+
+
+def offer_descriptions(transport: Transport, node: str) -> Closeable:
+    """Offer ``get_type_description`` for the node with the fully qualified name ``node``."""
+    endpoint = _endpoint("service", node, node, is_unlisted=True)
+    return transport.serve(endpoint, WireFormat(GetTypeDescription), _Describer(transport, node))
+
+
+def _endpoint(kind: EndpointKind, holder: str, own: str, *, is_unlisted: bool = False) -> Endpoint:
+    name = f"{holder}/{DESCRIBE}"
+    return Endpoint(kind, name, GetTypeDescription.type_name, own, is_unlisted=is_unlisted)
+
+
+class _Describer(ServiceHandler):
+    """Describes the types of the topics, services and actions of one node."""
+
+    def __init__(self, transport: Transport, node: str) -> None:
+        self._transport = transport
+        self._node = node
+
+    async def reply(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002  # as below
+        """Describe the type with the hash in the request."""
+        response = GetTypeDescription.Response
+        if not HASH.fullmatch(request.type_hash):
+            return Reply(response(failure_reason="Failed to parse type hash"))
+        for name in self._candidates(request.type_hash):
+            for found in known_classes(name):  # none, if messages are passed on as bytes
+                if type_hash(found) == request.type_hash:
+                    return Reply(describe(found, has_sources=request.include_type_sources))
+        return Reply(response(failure_reason="Type not currently in use by this node"))
+
+    def _candidates(self, wanted: str) -> Iterator[str]:
+        """Yield the names of types that may have this hash.
+
+        An endpoint says the hash of its type. The hash of an action is the only one that no
+        endpoint has.
+        """
+        for each in self._transport.local_endpoints():
+            if each.node == self._node and each.type_hash in ("", wanted):
+                yield each.type_name
+            if each.node == self._node and each.type_name.endswith(PARTS[0]):
+                yield each.type_name.removesuffix(PARTS[0])

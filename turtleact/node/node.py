@@ -38,6 +38,7 @@ from turtleact.goals.state import Goal, GoalStatus
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import (
+    DESCRIBE,
     PARAMETER_SERVICES,
     action_names,
     resolve_name,
@@ -48,8 +49,6 @@ from turtleact.node.resources import Resources
 from turtleact.node.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.node.timers import Timer
 from turtleact.node.topics import Matching, Publisher, Subscription
-from turtleact.node.type_descriptions import SERVICE as DESCRIBE
-from turtleact.node.type_descriptions import offer_descriptions
 from turtleact.tasks import LoopGuard, current_tasks, opening
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports import MemoryTransport, QoS, Transport
@@ -143,7 +142,7 @@ class Node:
         """Learns types from other nodes; see `turtleact.learn_interface`."""
         from turtleact.node.learning import Learner  # few programs need it
 
-        return Learner(self)
+        return Learner(self.transport, self.fully_qualified_name)
 
     @property
     def is_open(self) -> bool:
@@ -511,6 +510,8 @@ class Node:
         self._presence.callback(self.transport.call_when_sought(name, act).close)
 
     def _offer_descriptions(self) -> None:
+        from turtleact.node.learning import offer_descriptions  # slow to import
+
         self._presence.callback(offer_descriptions(self.transport, self.fully_qualified_name).close)
 
     def _offer_parameters(self) -> None:
@@ -526,11 +527,11 @@ class Node:
 
     def _untyped(self, name: str, kind: Kind, open: Callable[..., Any]) -> Any:  # noqa: ANN401  # see there
         """Return a client or subscription that learns its type, and then calls ``open``."""
-        from turtleact.node.untyped import untyped  # few programs need it
+        from turtleact.node.untyped import CLASSES  # few programs need it
 
         self._check_open()
         full_name = resolve_name(name, self.namespace, self.name)
-        return untyped(kind, full_name, self.learner, self._resources, open)
+        return CLASSES[kind](kind, full_name, self.learner, self._resources, open)
 
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None

@@ -1,6 +1,6 @@
 """The rules for parameters: kinds of values, ranges, and which values a parameter may have.
 
-This module does no I/O. `turtleact.node.parameters` serves a `ParameterTable` on the graph.
+This module does no I/O. `turtleact.node.parameters` serves parameters on the graph.
 
 ==================  =============================  =============================================
 ROS 2               Python                         example
@@ -31,12 +31,9 @@ import msgspec
 
 from turtleact.errors import InvalidMessage, InvalidOption, InvalidParameter
 from turtleact.interfaces import snapshotter
-from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.standard.rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
-    ListParametersResult,
-    Parameter,
     ParameterDescriptor,
     ParameterType,
     ParameterValue,
@@ -46,13 +43,13 @@ __all__ = [
     "KINDS",
     "Bounds",
     "ParameterDeclaration",
-    "ParameterTable",
     "Value",
     "descriptor_of",
     "fitted",
     "flattened",
     "is_listed",
     "message_of",
+    "misfit",
     "out_of_range",
     "parameter",
     "value_of",
@@ -374,145 +371,24 @@ def _is_same(one: float, other: float) -> bool:
     return abs(one - other) <= 2.220446049250313e-14 * abs(one + other)
 
 
-class ParameterTable:
-    """The declared parameters of a node, by name.
-
-    The type of a parameter is the type of its initial value, and never changes.
-    """
-
-    def __init__(self) -> None:
-        self._descriptors: dict[str, ParameterDescriptor] = {}
-        self._values: dict[str, ParameterValue] = {}
-        self._checks: dict[str, Callable[[ParameterValue], str]] = {}
-
-    def __contains__(self, name: object) -> bool:
-        """Whether a parameter with this name is declared."""
-        return name in self._descriptors
-
-    def __getitem__(self, name: str) -> ParameterValue:
-        """The value of a declared parameter."""
-        return self._values[name]
-
-    def declare(
-        self,
-        descriptor: ParameterDescriptor,
-        value: ParameterValue,
-        check: Callable[[ParameterValue], str] | None = None,
-    ) -> None:
-        """Declare a parameter.
-
-        Args:
-            descriptor: The parameter's name, kind, description and range.
-            value: The parameter's initial value.
-            check: A function that takes a value and returns the reason to reject the value; "" to
-                accept the value.
-
-        Raises:
-            InvalidParameter: if the parameter is declared already, or cannot have the value.
-        """
-        name = descriptor.name
-        if name in self._descriptors:
-            raise InvalidParameter(name, "it is declared already: choose another name")
-        if problem := out_of_range(descriptor, value) or (check(value) if check else ""):
-            raise InvalidParameter(name, problem)
-        self._descriptors[name] = descriptor
-        self._values[name] = value
-        if check is not None:
-            self._checks[name] = check
-
-    def undeclare(self, name: str) -> Parameter:
-        """Remove a parameter, and return its name and last value."""
-        del self._descriptors[name]
-        self._checks.pop(name, None)
-        return Parameter(name, self._values.pop(name))
-
-    def convert(self, name: str, value: object) -> ParameterValue:
-        """Convert a Python value to a message, if a program may set the parameter to this value.
-
-        Raises:
-            InvalidParameter: if the parameter is not declared, is read-only, or cannot have the
-                value.
-        """
-        self.check_declared(name)
-        known = self._descriptors[name]
-        if known.read_only:
-            raise InvalidParameter(name, "it is read-only")
-        made = message_of(name, value, known.type)
-        if problem := out_of_range(known, made) or self._failed_check(name, made):
-            raise InvalidParameter(name, problem)
-        return made
-
-    def check_declared(self, name: str) -> None:
-        """Check that a parameter is declared.
-
-        Raises:
-            InvalidParameter: if it is not declared. The error suggests a similar name, if there is
-                one.
-        """
-        if name not in self._descriptors:
-            problem = f"it is not declared{did_you_mean(str(name), self._descriptors)}"
-            raise InvalidParameter(name, problem)
-
-    def problem(self, parameters: Sequence[Parameter]) -> str:
-        """Return rclcpp's error text if the parameters cannot be set together; otherwise ""."""
-        if not parameters:
-            return _NO_PARAMETERS
-        for each in parameters:
-            if each.name not in self._descriptors:
-                return f"parameter '{each.name}' cannot be set because it was not declared"
-            if self._descriptors[each.name].read_only:
-                return f"parameter '{each.name}' cannot be set because it is read-only"
-        problems = (self._misfit(each.name, each.value) for each in parameters)
-        return next(filter(None, problems), "")
-
-    def apply(self, parameters: Sequence[Parameter]) -> None:
-        """Set parameters that the caller has already checked with `problem`."""
-        self._values.update((each.name, each.value) for each in parameters)
-
-    def values(self, names: Sequence[str]) -> list[ParameterValue]:
-        """Return the values of parameters, or an empty list if one of them is not declared."""
-        return [self._values[name] for name in names] if self._has_all(names) else []
-
-    def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
-        """Return the descriptors of parameters, or an empty list if one is not declared."""
-        return [self._descriptors[name] for name in names] if self._has_all(names) else []
-
-    def listed(self, prefixes: Sequence[str], depth: int) -> ListParametersResult:
-        """Return the names for which `is_listed` is true, and the groups that contain them."""
-        names = [name for name in sorted(self._descriptors) if is_listed(name, prefixes, depth)]
-        groups = [name.rpartition(".")[0] for name in names if "." in name]
-        return ListParametersResult(names, list(dict.fromkeys(groups)))
-
-    def _has_all(self, names: Sequence[str]) -> bool:
-        return all(name in self._descriptors for name in names)
-
-    def _misfit(self, name: str, value: ParameterValue) -> str:
-        """Return rclcpp's error text if a declared parameter rejects a value; otherwise ""."""
-        known = self._descriptors[name]
-        if value.type == _NOT_SET:
-            return "cannot undeclare a statically typed parameter"
-        if value.type != known.type:
-            number = value.type
-            given = KINDS[number].word if number < len(KINDS) else f"unknown type {number}"
-            return (
-                f"Wrong parameter type, parameter {{{name}}} is of type"
-                f" {{{KINDS[known.type].word}}}, setting it to {{{given}}} is not allowed."
-            )
-        if taken := out_of_range(known, value):
-            kind = "integer" if value.type == _INTEGER else "floating point"
-            said = f"{taken[0].upper()}{taken[1:]}."
-            return f"Parameter {{{name}}} doesn't comply with {kind} range. {said}"
-        return self._failed_check(name, value)
-
-    def _failed_check(self, name: str, value: ParameterValue) -> str:
-        check = self._checks.get(name)
-        return "" if check is None else check(value)
-
-
-_NO_PARAMETERS = (
-    "parameter list cannot be empty, this might be due to pre_set_parameters_callback modifying"
-    " the original parameters list."
-)
+def misfit(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
+    """Return rclcpp's error text if a parameter cannot be set to a value; otherwise ""."""
+    name = descriptor.name
+    if descriptor.read_only:
+        return f"parameter '{name}' cannot be set because it is read-only"
+    if value.type == _NOT_SET:
+        return "cannot undeclare a statically typed parameter"
+    if value.type != descriptor.type:
+        number = value.type
+        given = KINDS[number].word if number < len(KINDS) else f"unknown type {number}"
+        return (
+            f"Wrong parameter type, parameter {{{name}}} is of type"
+            f" {{{KINDS[descriptor.type].word}}}, setting it to {{{given}}} is not allowed."
+        )
+    taken = out_of_range(descriptor, value)
+    kind = "integer" if value.type == _INTEGER else "floating point"
+    said = f"{taken[:1].upper()}{taken[1:]}."
+    return f"Parameter {{{name}}} doesn't comply with {kind} range. {said}" if taken else ""
 
 
 def is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:

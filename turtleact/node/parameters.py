@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
 from turtleact.errors import InvalidParameter, TurtleactError, summary, text_of
 from turtleact.interfaces import Message, stamp_of
-from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter as ParameterMessage
+from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.standard.rcl_interfaces.msg import (
+    ListParametersResult,
     ParameterEvent,
     ParameterValue,
     SetParametersResult,
 )
+from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter as ParameterMessage
 from turtleact.interfaces.standard.rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
@@ -31,9 +33,11 @@ from turtleact.interfaces.standard.rcl_interfaces.srv import (
 )
 from turtleact.node.parameter_rules import (
     ParameterDeclaration,
-    ParameterTable,
     Value,
+    is_listed,
     message_of,
+    misfit,
+    out_of_range,
     parameter,
     value_of,
 )
@@ -56,6 +60,12 @@ Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 
 EVENTS_QOS = QoS(depth=1000)
+
+_REFUSED = "the node refuses this value"
+_NO_PARAMETERS = (
+    "parameter list cannot be empty, this might be due to pre_set_parameters_callback modifying"
+    " the original parameters list."
+)
 
 
 class Host(Protocol):
@@ -95,9 +105,7 @@ class NodeParameters:
         self._node = node
         self._home = home
         self._tasks = tasks
-        self._table = ParameterTable()
-        self._declared: dict[str, Parameter[Value]] = {}
-        self._made_from: dict[str, object] = {}
+        self._declared: dict[str, Parameter[Any]] = {}
         self._events: Publisher[ParameterEvent] | None = None
 
     def open(self) -> Publisher[ParameterEvent]:
@@ -122,73 +130,40 @@ class NodeParameters:
     ) -> Parameter[Any]:
         """Declare a parameter, or find a declared one; see `turtleact.Node.parameter`."""
         if isinstance(name, ParameterDeclaration):
-            return self.declare_once(name)
+            known = self._declared.get(name.name)
+            return known if known and known.declaration is name else self._declare(name)
         if default is None:
-            return self.find(name)
-        return self.declare(parameter(name, default, **options))
+            return self._find(name)
+        return self._declare(parameter(name, default, **options))
 
-    def declare(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
-        """Declare a parameter.
-
-        Raises:
-            InvalidParameter: if the parameter is declared already, or its initial value is not
-                allowed.
-        """
+    def _declare(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
         self.check_open()
         self.open()
-        name, first, check = declaration.name, declaration.message, _checker(declaration)
+        name, first = declaration.name, declaration.message
+        if name in self._declared:
+            raise InvalidParameter(name, "it is declared already: choose another name")
         if name in self._node.initial_values:
             first = message_of(name, self._node.initial_values[name], first.type)
-        self._table.declare(declaration.descriptor, first, check)
-        made = Parameter[P](self, declaration.name, self._tasks.signal())
-        self._declared[declaration.name] = cast("Parameter[Value]", made)
-        self._made_from[declaration.name] = declaration
+        made = Parameter[P](self, declaration, first, self._tasks.signal())
+        made.check(first)
+        self._declared[name] = made
         self._tell(new=[ParameterMessage(name, first)])
         return made
 
-    def declare_once(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
-        """Declare a parameter, unless this declaration was used before. Return the parameter."""
-        if self._made_from.get(declaration.name) is declaration:
-            return cast("Parameter[P]", self._declared[declaration.name])
-        return self.declare(declaration)
-
-    def find(self, name: str) -> Parameter[Value]:
-        """Return the declared parameter with this name.
-
-        Raises:
-            InvalidParameter: if no such parameter is declared.
-        """
+    def _find(self, name: str) -> Parameter[Any]:
         if not self._declared:
             raise InvalidParameter(name, "it is not declared, nor is any other on this node")
-        self._table.check_declared(name)
+        if name not in self._declared:
+            hint = did_you_mean(str(name), self._declared)
+            raise InvalidParameter(name, f"it is not declared{hint}")
         return self._declared[name]
 
-    def value(self, name: str) -> Value:
-        """Return the value of a declared parameter."""
-        return cast("Value", value_of(self._table[name]))
-
-    def assign(self, name: str, value: object) -> None:
-        """Set a parameter to a Python value.
-
-        This raises the same errors as an assignment to `Parameter.value`.
-        """
-        self.check_open()
-        self._apply([ParameterMessage(name, self._table.convert(name, value))])
-
-    def undeclare(self, name: str) -> None:
-        """Remove a parameter. If it is not declared, do nothing."""
-        if name not in self._table:
-            return
+    def remove(self, removed: Parameter[P]) -> None:
+        """Remove a declared parameter."""
         self._home.check()
-        removed = self._table.undeclare(name)
-        del self._made_from[name]
-        self._declared.pop(name).wake()
+        del self._declared[removed.name]
         if self.resources.is_open:
-            self._tell(deleted=[removed])
-
-    def is_declared(self, parameter: Parameter[P]) -> bool:
-        """Whether a parameter is still declared."""
-        return cast("object", self._declared.get(parameter.name)) is parameter
+            self._tell(deleted=[ParameterMessage(removed.name, removed.message)])
 
     def check_open(self) -> None:
         """Raise an error unless the node is open and belongs to this event loop."""
@@ -199,18 +174,27 @@ class NodeParameters:
 
     # the services
 
+    def _all(self, names: Sequence[str]) -> list[Parameter[Any]]:
+        """Return parameters, or an empty list if one of them is not declared."""
+        found = [self._declared.get(name) for name in names]
+        return [] if None in found else cast("list[Parameter[Any]]", found)
+
     def _get(self, request: GetParameters.Request) -> GetParameters.Response:
-        return GetParameters.Response(self._table.values(request.names))
+        return GetParameters.Response([each.message for each in self._all(request.names)])
 
     def _get_types(self, request: GetParameterTypes.Request) -> GetParameterTypes.Response:
-        values = self._table.values(request.names)
-        return GetParameterTypes.Response([value.type for value in values])
+        return GetParameterTypes.Response([each.message.type for each in self._all(request.names)])
 
     def _describe(self, request: DescribeParameters.Request) -> DescribeParameters.Response:
-        return DescribeParameters.Response(self._table.descriptors(request.names))
+        found = self._all(request.names)
+        return DescribeParameters.Response([each.declaration.descriptor for each in found])
 
     def _list(self, request: ListParameters.Request) -> ListParameters.Response:
-        return ListParameters.Response(self._table.listed(request.prefixes, request.depth))
+        wanted = (request.prefixes, request.depth)
+        names = [name for name in sorted(self._declared) if is_listed(name, *wanted)]
+        groups = [name.rpartition(".")[0] for name in names if "." in name]
+        listed = ListParametersResult(names, list(dict.fromkeys(groups)))
+        return ListParameters.Response(listed)
 
     def _set(self, request: SetParameters.Request) -> SetParameters.Response:
         return SetParameters.Response([self._set_together([each]) for each in request.parameters])
@@ -218,7 +202,7 @@ class NodeParameters:
     def _set_all(
         self, request: SetParametersAtomically.Request
     ) -> SetParametersAtomically.Response:
-        if all(each.name in self._table for each in request.parameters):
+        if all(each.name in self._declared for each in request.parameters):
             result = self._set_together(request.parameters)
         else:
             reason = "One or more parameters were not declared before setting"
@@ -227,22 +211,31 @@ class NodeParameters:
 
     def _set_together(self, parameters: Sequence[ParameterMessage]) -> SetParametersResult:
         """Set all of the parameters, or none if one of them cannot be set."""
-        if problem := self._table.problem(parameters):
+        problems = [_NO_PARAMETERS] if not parameters else map(self._problem, parameters)
+        if problem := next(filter(None, problems), ""):
             return SetParametersResult(reason=problem)
-        self._apply(parameters)
+        self.apply(parameters)
         return SetParametersResult(successful=True)
+
+    def _problem(self, given: ParameterMessage) -> str:
+        """Return rclcpp's error text if a parameter cannot be set to a value; otherwise ""."""
+        found = self._declared.get(given.name)
+        if found is None:
+            return f"parameter '{given.name}' cannot be set because it was not declared"
+        return misfit(found.declaration.descriptor, given.value) or found.refusal(given.value)
 
     # changes
 
-    def _apply(self, parameters: Sequence[ParameterMessage]) -> None:
+    def apply(self, parameters: Sequence[ParameterMessage]) -> None:
+        """Set parameters to values that have been checked."""
         # All values are set before anybody hears of one: a hook that reads several parameters sees
         # the new value of each.
-        before = {each.name: self.value(each.name) for each in parameters}
-        self._table.apply(parameters)
+        before = [(found, found.message) for found in self._all([each.name for each in parameters])]
+        for each in parameters:
+            self._declared[each.name].message = each.value
         self._tell(changed=parameters)
-        for name, value in before.items():
-            found = self._declared.get(name)  # a hook may undeclare others
-            if found is not None and self.value(name) != value:
+        for found, message in before:
+            if found.is_declared and found.message != message:  # a hook may undeclare others
                 found.notify()
 
     def _tell(
@@ -266,23 +259,30 @@ class Parameter(Generic[P]):
 
     Attributes:
         name: The parameter's name.
+        is_declared: Whether the parameter is still declared. It stays declared when the node
+            closes.
+        declaration: How the parameter was declared.
+        message: The current value, as a message.
     """
 
-    def __init__(self, parameters: NodeParameters, name: str, changed: Signal) -> None:
-        self.name = name
+    def __init__(
+        self,
+        parameters: NodeParameters,
+        declaration: ParameterDeclaration[P],
+        message: ParameterValue,
+        changed: Signal,
+    ) -> None:
+        self.name = declaration.name
+        self.is_declared = True
+        self.declaration = declaration
+        self.message = message
         self._parameters = parameters
         self._changed = changed
         self._count = 0
         self._hooks: list[Callable[[P], object]] = []
-        self._last = cast("P", parameters.value(name))
 
     def __repr__(self) -> str:
         return f"<Parameter '{self.name}': {self.value!r}>"
-
-    @property
-    def is_declared(self) -> bool:
-        """Whether the parameter is still declared. It stays declared when the node closes."""
-        return self._parameters.is_declared(self)
 
     @property
     def value(self) -> P:
@@ -295,15 +295,37 @@ class Parameter(Generic[P]):
                 ``validate``; if the parameter is read-only or no longer declared.
             TurtleactError: if the node is closed.
         """
-        if self.is_declared:
-            self._last = cast("P", self._parameters.value(self.name))
-        return self._last
+        return cast("P", value_of(self.message))
 
     @value.setter
     def value(self, value: P) -> None:
         if not self.is_declared:
             raise InvalidParameter(self.name, "it is no longer declared")
-        self._parameters.assign(self.name, value)
+        self._parameters.check_open()
+        descriptor = self.declaration.descriptor
+        if descriptor.read_only:
+            raise InvalidParameter(self.name, "it is read-only")
+        made = message_of(self.name, value, descriptor.type)
+        self.check(made)
+        self._parameters.apply([ParameterMessage(self.name, made)])
+
+    def check(self, message: ParameterValue) -> None:
+        """Raise `InvalidParameter` if a value is out of range, or ``validate`` refuses it."""
+        problem = out_of_range(self.declaration.descriptor, message) or self.refusal(message)
+        if problem:
+            raise InvalidParameter(self.name, problem)
+
+    def refusal(self, message: ParameterValue) -> str:
+        """Return why the user's ``validate`` refuses a value; "" if it does not."""
+        validate = self.declaration.validate
+        try:
+            answer = validate is None or validate(cast("P", value_of(message)))
+        except (ValueError, TurtleactError) as refusal:
+            return text_of(refusal) or _REFUSED
+        except Exception as error:
+            logger.error("'validate' of parameter '%s' failed", self.name, exc_info=error)
+            return f"its 'validate' failed: {summary(error)}"
+        return _REFUSED if answer is False else ""
 
     def on_change(self, hook: Callable[[P], object]) -> None:
         """Call ``hook(value)`` after each change from now on, in the event loop.
@@ -328,8 +350,9 @@ class Parameter(Generic[P]):
     def undeclare(self) -> None:
         """Remove the parameter from its node. A second call does nothing."""
         if self.is_declared:
-            self._last = self.value
-            self._parameters.undeclare(self.name)
+            self._parameters.remove(self)
+            self.is_declared = False
+            self._changed.fire()
 
     def notify(self) -> None:
         """Call the hooks and wake the readers of `changes`, because the parameter has changed."""
@@ -341,10 +364,6 @@ class Parameter(Generic[P]):
                 hook(self.value)
             except Exception as error:
                 logger.error("a hook of parameter '%s' failed", self.name, exc_info=error)
-
-    def wake(self) -> None:
-        """Wake the readers of `changes`."""
-        self._changed.fire()
 
     async def wait_for_change(self, count: int) -> int:
         """Wait until the parameter has changed more than ``count`` times in all.
@@ -379,22 +398,3 @@ class Changes(Generic[P]):
             raise StopAsyncIteration
         self._count = count
         return self._parameter.value
-
-
-def _checker(declaration: ParameterDeclaration[P]) -> Callable[[ParameterValue], str] | None:
-    """Return a function that calls the user's ``validate`` and returns why a value is refused."""
-    validate = declaration.validate
-    if validate is None:
-        return None
-
-    def check(message: ParameterValue) -> str:
-        try:
-            answer = validate(cast("P", value_of(message)))
-        except (ValueError, TurtleactError) as refusal:
-            return text_of(refusal) or "the node refuses this value"
-        except Exception as error:
-            logger.error("'validate' of parameter '%s' failed", declaration.name, exc_info=error)
-            return f"its 'validate' failed: {summary(error)}"
-        return "the node refuses this value" if answer is False else ""
-
-    return check

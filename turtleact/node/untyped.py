@@ -9,6 +9,7 @@ mapping, because its class is not known before.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Generator, Mapping
+from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypedDict, TypeVar
 
@@ -21,6 +22,7 @@ from turtleact.node.learning import Learner
 from turtleact.node.services import ServiceClient
 from turtleact.node.topics import Subscription
 from turtleact.transports.base import AsyncCloseable, Owner, find_server, wait_until_served
+from turtleact.transports.graph import Kind
 
 if TYPE_CHECKING:
     import uuid
@@ -28,9 +30,8 @@ if TYPE_CHECKING:
     from turtleact.goals.client_handle import ClientGoalHandle
     from turtleact.goals.service_server import Introspection
     from turtleact.interfaces.standard import CancelGoal, Time
-    from turtleact.transports.graph import Kind
 
-__all__ = ["UntypedActionClient", "UntypedServiceClient", "UntypedSubscription", "untyped"]
+__all__ = ["CLASSES", "UntypedActionClient", "UntypedServiceClient", "UntypedSubscription"]
 
 T = TypeVar("T", bound=AsyncCloseable)
 
@@ -40,18 +41,6 @@ class ClientOptions(TypedDict, total=False):
 
     cancel_timeout: float | None
     introspection: Introspection | None
-
-
-def untyped(
-    kind: Kind, name: str, learner: Learner, owner: Owner, open: Callable[[Any, str], Any]
-) -> Untyped[Any]:
-    """Return a client or subscription without a type; see `Untyped` for the arguments."""
-    classes: dict[Kind, type[Untyped[Any]]] = {
-        "action": UntypedActionClient,
-        "service": UntypedServiceClient,
-        "topic": UntypedSubscription,
-    }
-    return classes[kind](kind, name, learner, owner, open)
 
 
 class Untyped(Generic[T]):
@@ -76,7 +65,7 @@ class Untyped(Generic[T]):
         self._opened: T | None = None
         self._lock = anyio.Lock()
         self._waits = set[anyio.CancelScope]()
-        self._membership = owner.add(self, _NOTHING)
+        self._membership = owner.add(self, ExitStack())  # it has no endpoint yet
 
     async def aclose(self) -> None:
         """Close this object. A second call does nothing."""
@@ -116,7 +105,7 @@ class Untyped(Generic[T]):
             await wait_until_served(transport, self._find, None)
         elif await find_server(transport, self._find) is None:
             raise ServerUnavailable(self._name, "no server answers", kind=self._kind)
-        return await self._learner.learn_name(self._name, self._kind)
+        return await self._learner.wait_for(self._name, self._kind)
 
 
 class UntypedActionClient(Untyped[ActionClient[Any, Any, Any]]):
@@ -242,13 +231,12 @@ class Later:
         return await self._send(await self._typed())
 
 
-class _Nothing:
-    def close(self) -> None:
-        """Do nothing: a client without a type has no endpoint yet."""
-
-
-_NOTHING: Final = _Nothing()
-
-
 def _message(cls: Any, given: Message | Mapping[str, object], root: str) -> Any:  # noqa: ANN401
     return from_dict(cls, given, root=root) if isinstance(given, Mapping) else given
+
+
+CLASSES: Final[dict[Kind, type[Untyped[Any]]]] = {
+    "action": UntypedActionClient,
+    "service": UntypedServiceClient,
+    "topic": UntypedSubscription,
+}

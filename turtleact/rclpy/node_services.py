@@ -1,6 +1,6 @@
 """The services that a node offers to other nodes: for parameters, log levels and types.
 
-All services are destroyed with the node. `turtleact.node.type_descriptions` answers
+All services are destroyed with the node. `turtleact.node.learning` answers
 ``~/get_type_description``.
 """
 

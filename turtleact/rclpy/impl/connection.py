@@ -26,7 +26,7 @@ from typing import Protocol, TypeAlias, TypeVar, cast
 import msgspec
 
 from turtleact.errors import TurtleactError
-from turtleact.node.type_descriptions import offer_descriptions
+from turtleact.node.learning import offer_descriptions
 from turtleact.rclpy.messages import hash_of
 from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
