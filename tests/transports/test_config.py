@@ -54,7 +54,7 @@ def test_a_file_keeps_what_it_says_but_for_what_is_said_here():
     assert made.text == "{mode: 'router'}"
     assert made.settings == {"listen/endpoints": '["tcp/a:1"]'}
     assert made.defaults["mode"] == '"client"'
-    assert (made.domain, made.connect, made.listen) == (3, (), ("tcp/a:1",))
+    assert (made.connect, made.listen) == ((), ("tcp/a:1",))
 
 
 def test_a_file_and_where_to_connect():

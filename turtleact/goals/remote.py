@@ -299,8 +299,9 @@ class RemoteActionServer:
             note = GoalMetadata.read(reply.note)
             if remote.is_sender:
                 await self._wait_for_feedback(remote, note.feedback)
-                if remote.gaps and not reply.note:
-                    self._report_gaps(remote)
+                if remote.gaps and not reply.note:  # the server does not say how many there were
+                    what = f"{self._endpoints.name} were lost while goal {goal.hex} was active"
+                    self._report_lost(remote, remote.gaps, what)
             self._conclude(remote, reply, note)
         except TurtleactError as error:
             self._lose(remote, self._failure(error, is_accepted=remote.is_accepted))
@@ -372,21 +373,10 @@ class RemoteActionServer:
             while remote.received < count:
                 await signal.wait()
         if remote.received < count:
-            lost = count - remote.received
-            logger.warning("%d feedback messages of goal %s were lost", lost, remote.goal.hex)
-            self._report_lost(remote, lost)
+            self._report_lost(remote, count - remote.received, f"goal {remote.goal.hex} were lost")
 
-    def _report_gaps(self, remote: RemoteGoal) -> None:
-        """Report feedback of a server that does not say how much it has published."""
-        logger.warning(
-            "%d feedback messages of %s were lost while goal %s was active",
-            remote.gaps,
-            self._endpoints.name,
-            remote.goal.hex,
-        )
-        self._report_lost(remote, remote.gaps)
-
-    def _report_lost(self, remote: RemoteGoal, count: int) -> None:
+    def _report_lost(self, remote: RemoteGoal, count: int, what: str) -> None:
+        logger.warning("%d feedback messages of %s", count, what)
         self._endpoints.report_lost(count)
         if remote.is_observed:
             self._observers.noted(remote.goal, FeedbackLost(count))

@@ -62,15 +62,6 @@ DEFAULTS: dict[str, object] = {
     "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
     "listen/timeout_ms": 0,
     "listen/exit_on_failure": True,
-}
-
-#: The settings of a router: like that of rmw_zenoh, it tells who asks what it is and whom it knows.
-ROUTER_DEFAULTS: dict[str, object] = {
-    "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
-}
-
-#: More settings, where Zenoh has other defaults.
-TIGHTER: dict[str, object] = {
     # How long to wait for a peer's greeting (ms). On a connection that loses one packet in ten,
     # every second greeting takes more than two seconds.
     "transport/unicast/open_timeout": 5000,
@@ -78,6 +69,10 @@ TIGHTER: dict[str, object] = {
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000,
 }
 
+#: The settings of a router: like that of rmw_zenoh, it tells who asks what it is and whom it knows.
+ROUTER_DEFAULTS: dict[str, object] = {
+    "adminspace": {"enabled": True, "permissions": {"read": True, "write": False}},
+}
 
 #: What to do if another program listens at the endpoint.
 TAKEN = "if a router listens there, connect to it; if not, end that program or use another port"
@@ -92,7 +87,6 @@ class SessionConfig(msgspec.Struct, frozen=True):
     """The configuration of a session.
 
     Attributes:
-        domain: The ROS domain.
         text: A complete configuration in JSON5, to which ``settings`` and ``defaults`` are applied;
             empty to start from Zenoh's default configuration.
         settings: Settings that replace those of ``text``: a mapping from paths to values in JSON.
@@ -104,7 +98,6 @@ class SessionConfig(msgspec.Struct, frozen=True):
             are given only in ``text`` are left out.
     """
 
-    domain: int
     text: str
     settings: dict[str, str]
     defaults: dict[str, str]
@@ -148,7 +141,7 @@ def session_config(
     more = {} if isinstance(config, str) else config
     to = _endpoints("connect", connect, () if text else CONNECT[mode])
     at = _endpoints("listen", listen, () if text else LISTEN[mode])
-    defaults: dict[str, object] = {"mode": mode, **DEFAULTS, **TIGHTER}
+    defaults: dict[str, object] = {"mode": mode, **DEFAULTS}
     if mode == "router":
         defaults |= ROUTER_DEFAULTS
     settings: dict[str, object] = {}
@@ -158,7 +151,7 @@ def session_config(
         settings["listen/endpoints"] = at
     if not text:
         defaults, settings = {}, {**defaults, **settings, **more}
-    return SessionConfig(domain, text, _as_json(settings), _as_json(defaults), to, at)
+    return SessionConfig(text, _as_json(settings), _as_json(defaults), to, at)
 
 
 def _endpoints(
