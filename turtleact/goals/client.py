@@ -204,8 +204,8 @@ class ActionClient(Generic[G, R, F]):
         """
         self._home.check()
         if timeout is None:
-            with anyio.move_on_after(SILENCE):
-                return await wait_until_served(self._endpoints.transport, self._find, None)
+            if await self._wait_to_find(SILENCE):
+                return True
             logger.warning("still waiting for a server of action '%s'; %s", self.name, self._hint())
         return await wait_until_served(self._endpoints.transport, self._find, timeout)
 
@@ -262,16 +262,12 @@ class ActionClient(Generic[G, R, F]):
         if self.is_open:
             await find_server(self._endpoints.transport, lambda: self._find() or self._misfit())
             if self._misfit():  # a fitting server may be discovered a moment later
-                with anyio.move_on_after(TOGETHER):
-                    await wait_until_served(self._endpoints.transport, self._find, None)
-            server = self._find()
-        if server is None and self.is_open and not self._misfit():
-            await self._endpoints.send_goal.wait_for_route()
+                await self._wait_to_find(TOGETHER)
+            elif not self._find():
+                await self._endpoints.send_goal.wait_for_route()
             server = self._find()
         if server is None and patience:
-            with anyio.move_on_after(patience):
-                await wait_until_served(self._endpoints.transport, self._find, None)
-            server = self._find()
+            server = await self._wait_to_find(patience)
         if not self.is_open:  # before this, or meanwhile
             raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
         if server is None:
@@ -280,6 +276,12 @@ class ActionClient(Generic[G, R, F]):
             raise ServerUnavailable(self.name, problem or NO_SERVER, hint=hint)
         self._use(server)
         return server
+
+    async def _wait_to_find(self, patience: float) -> GoalServer | None:
+        """Return the action's server as soon as there is one; None after ``patience`` seconds."""
+        with anyio.move_on_after(patience):
+            await wait_until_served(self._endpoints.transport, self._find, None)
+        return self._find()
 
     def _misfit(self) -> str | None:
         """Return what is wrong with the servers of this name, if all have other definitions."""

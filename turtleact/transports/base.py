@@ -584,8 +584,8 @@ async def find_server(transport: Transport, find: Callable[[], T | None]) -> T |
     found = find()
     if found is None and (rest := transport.discovery_ends - anyio.current_time()) > 0:
         with anyio.move_on_after(rest):
-            while (found := find()) is None:
-                await transport.wait_for_change()
+            await wait_until_served(transport, find, None)
+        return find()
     return found
 
 

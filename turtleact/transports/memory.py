@@ -140,7 +140,7 @@ class MemoryTransport:
     ) -> Caller:
         """Show a client of a service on the graph, and return the object that calls the service."""
         caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
-        leave = partial(self._lose, caller)
+        leave = partial(self.client_lost, endpoint.name, caller.gid)
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
@@ -153,14 +153,12 @@ class MemoryTransport:
         """All handlers that serve a service, oldest first."""
         return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
 
-    def handlers(self, name: str) -> list[ServiceHandler]:
-        """The handlers of all services called ``name``, whatever their types."""
-        return [
-            offer.handler
-            for key, offers in self._handlers.items()
-            if key[0] == name
-            for offer in offers
-        ]
+    def client_lost(self, name: str, gid: bytes) -> None:
+        """Tell all servers of the services called ``name`` that a client has gone."""
+        for key, offers in self._handlers.items():
+            if key[0] == name:
+                for offer in offers:
+                    offer.handler.caller_lost(gid)
 
     def enter(self, node: str) -> Closeable:
         """Show a node on the graph."""
@@ -261,10 +259,6 @@ class MemoryTransport:
     def _number(self) -> int:
         self._opened += 1
         return self._opened
-
-    def _lose(self, caller: _Caller) -> None:
-        for handler in self.handlers(caller.endpoint.name):
-            handler.caller_lost(caller.gid)
 
 
 class _Topic:
@@ -423,10 +417,13 @@ class _Caller:
         if handler is None:
             raise ServerUnavailable(name, self.why_not_served(), kind="service")
         self._calls += 1
+        self._sequence += 1
+        sequence = self._sequence
+        observers = [each for each in (self.observer, handler.observer) if each is not None]
+        for each in observers:
+            each.requested(request, self.gid, sequence)
         try:
-            if self.observer is None and handler.observer is None:
-                return await handler.reply(request, self.gid)
-            return await self._call_observed(handler, request)
+            reply = await handler.reply(request, self.gid)
         except TurtleactError:
             raise
         except Exception as error:
@@ -435,15 +432,6 @@ class _Caller:
             self._calls -= 1
             if not self._is_open:
                 self._leave_if_idle()
-
-    async def _call_observed(self, handler: ServiceHandler, request: object) -> Reply:
-        """Call a handler, and report the call to the observers of the client and of the handler."""
-        self._sequence += 1
-        sequence = self._sequence
-        observers = [each for each in (self.observer, handler.observer) if each is not None]
-        for each in observers:
-            each.requested(request, self.gid, sequence)
-        reply = await handler.reply(request, self.gid)
         for each in reversed(observers):
             each.responded(reply.message, self.gid, sequence)
         return reply

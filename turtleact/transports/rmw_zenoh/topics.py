@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import anyio
 
 from turtleact.errors import InvalidMessage
-from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
+from turtleact.transports.base import Deliver, Endpoint, Format, Publication, Source
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
 from turtleact.transports.rmw_zenoh.wire import Attachments, count_in, gid_in
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher
 
-__all__ = ["BoundedQueue", "DirectSubscription", "WirePublication", "WireSubscription"]
+__all__ = ["BoundedQueue", "WirePublication", "WireSubscription"]
 
 logger = logging.getLogger("turtleact.transport")
 
@@ -56,16 +56,18 @@ class BoundedQueue(Generic[T]):
 
     Args:
         longest: The maximum number of entries; None for no limit.
+        loss: The warning to log when the first entry is dropped; empty if that is no surprise.
 
     Attributes:
         weight: How many bytes wait in the queue, including `ENTRY` bytes for each entry.
         dropped: How many entries were dropped because the queue was full.
     """
 
-    def __init__(self, longest: int | None = None) -> None:
+    def __init__(self, longest: int | None = None, loss: str = "") -> None:
         self.weight = 0
         self.dropped = 0
         self._longest = longest
+        self._loss = loss
         self._entries: deque[tuple[T, int]] = deque()
         self._lock = threading.Lock()
 
@@ -79,7 +81,9 @@ class BoundedQueue(Generic[T]):
                 return True
             self._remove()
             self.dropped += 1
-            return False
+        if self._loss and self.dropped == 1:
+            logger.warning("%s", self._loss)
+        return False
 
     def take(self) -> T | None:
         """Remove and return the oldest entry; None if the queue is empty."""
@@ -134,7 +138,9 @@ class WirePublication(Source):
         self._is_watched = False  # whether the task below watches for changes
         self._is_awaited = False  # whether somebody waits in `drained`
         self.publisher: Publisher | None = None
-        self._unsent: BoundedQueue[tuple[bytes, bytes]] = _queue_for(endpoint.qos)
+        self._unsent: BoundedQueue[tuple[bytes, bytes]] = _queue_for(
+            endpoint, "published than can be sent"
+        )
         self._sent = context.tasks.signal()
         self._told_readers = False
         self._has_local_readers = False
@@ -267,7 +273,6 @@ class WirePublication(Source):
             # One job per message keeps the order among publishers.
             context.send_queue.post(self._put)
         else:
-            _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
             self._source.message_lost()
 
     def _send_current(self) -> int:
@@ -340,6 +345,8 @@ class WireSubscription:
         format: Decodes messages.
         deliver: Called with each message.
         on_gap: Called with the number of messages that did not arrive.
+        in_any_thread: Whether the thread of the session that receives a message delivers it. It may
+            then still deliver a message while the subscription is being closed.
     """
 
     def __init__(
@@ -348,7 +355,9 @@ class WireSubscription:
         named: Named,
         format: Format,
         deliver: Deliver,
-        on_gap: Callable[[int], None] | None = None,
+        on_gap: Callable[[int], None] | None,
+        *,
+        in_any_thread: bool,
     ) -> None:
         endpoint = named.endpoint
         self._context = context
@@ -357,7 +366,8 @@ class WireSubscription:
         self._qos = endpoint.qos
         self._format = format
         self._deliver = deliver
-        self._unread: BoundedQueue[bytes] = _queue_for(endpoint.qos)
+        self._unread: BoundedQueue[bytes] = _queue_for(endpoint, "sent than is read")
+        self._take = self._hand_over if in_any_thread else self._put_by
         self._on_gap = on_gap
         self._is_latched = endpoint.qos.durability == "transient_local"
         self._counts: dict[bytes, int] = {}  # the newest sequence number of each publisher
@@ -389,12 +399,10 @@ class WireSubscription:
         if missing > 0:
             self._context.receive_queue.push(partial(on_gap, missing))
 
-    def _take(self, payload: bytes) -> None:
-        """Receive a message. A thread of the session calls this."""
+    def _put_by(self, payload: bytes) -> None:
+        """Let the event loop read a message. A thread of the session calls this."""
         if self._unread.put(payload, len(payload)):
             self._context.receive_queue.push(self._read)
-        else:
-            _note_loss(self._topic, self._qos, self._unread, "sent than is read")
 
     def _read(self) -> None:
         payload = self._unread.take()
@@ -429,22 +437,10 @@ class WireSubscription:
             self._declared.undeclare()
 
 
-class DirectSubscription(WireSubscription):
-    """A subscription that delivers a message in the thread of the session that received it.
-
-    A message may still be delivered while the subscription is being closed.
-    """
-
-    def _take(self, payload: bytes) -> None:
-        self._hand_over(payload)
-
-
-def _note_loss(topic: str, qos: QoS, queue: BoundedQueue[Any], what: str) -> None:
-    """Warn once that a reliable topic loses messages."""
-    if qos.reliability == "reliable" and queue.dropped == 1:
-        logger.warning("topic %s: more is %s; the oldest messages are dropped", topic, what)
-
-
-def _queue_for(qos: QoS) -> BoundedQueue[Any]:
-    is_sensor = qos.reliability == "best_effort" and qos.durability == "volatile"
-    return BoundedQueue(qos.depth if is_sensor else None)
+def _queue_for(endpoint: Endpoint, what: str) -> BoundedQueue[Any]:
+    """Make the queue of a topic's end. A full one warns if more is ``what``, unless it may lose."""
+    qos, loss = endpoint.qos, ""
+    if qos.reliability == "reliable":
+        loss = f"topic {endpoint.name}: more is {what}; the oldest messages are dropped"
+    is_sensor = not loss and qos.durability == "volatile"
+    return BoundedQueue(qos.depth if is_sensor else None, loss)

@@ -45,11 +45,7 @@ from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_confi
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
 from turtleact.transports.rmw_zenoh.services import Calls, WireCaller, WireService
 from turtleact.transports.rmw_zenoh.session import Session
-from turtleact.transports.rmw_zenoh.topics import (
-    DirectSubscription,
-    WirePublication,
-    WireSubscription,
-)
+from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
 from turtleact.transports.rmw_zenoh.wire import (
     Graph,
     all_nodes,
@@ -130,8 +126,9 @@ class ZenohTransport:
         message arrives until ``deliver`` has returned.
         """
         named = self._name(endpoint, format)
-        made = DirectSubscription if in_any_thread else WireSubscription
-        return made(self.context, named, format, deliver, on_gap)
+        return WireSubscription(
+            self.context, named, format, deliver, on_gap, in_any_thread=in_any_thread
+        )
 
     def serve(self, endpoint: Endpoint, format: Format, handler: ServiceHandler) -> Closeable:
         """Offer ``handler`` as the server of a service. This raises the same errors as `advertise`.
@@ -347,13 +344,12 @@ class ZenohTransport:
         token = self.graph.remove(key)
         if token is None:
             return
-        if token.endpoint is not None:
-            self.context.demand.remove(token.endpoint.name)
-        if token.endpoint is not None and token.endpoint.kind == "client":
-            for handler in self._near.handlers(token.endpoint.name):
-                handler.caller_lost(token.endpoint.gid)
-        if token.endpoint is not None and token.endpoint.kind == "service":
-            self._calls.doubt(token.endpoint.name)
+        if (endpoint := token.endpoint) is not None:
+            self.context.demand.remove(endpoint.name)
+            if endpoint.kind == "client":
+                self._near.client_lost(endpoint.name, endpoint.gid)
+            if endpoint.kind == "service":
+                self._calls.doubt(endpoint.name)
         self._near.tell_change()
 
 
