@@ -605,11 +605,6 @@ ALL = from_dict(
 )
 
 
-@pytest.mark.parametrize("arrays", ["array", "numpy"])
-def test_arrays_are_written_as_lists_are(arrays):
-    assert encode(decode(Numbers, encode(ALL), arrays=arrays)) == encode(ALL)
-
-
 @pytest.mark.parametrize(
     "values",
     [np.arange(6.0)[::2], np.array([0, 2, 4]), np.array([0.0, 2.0, 4.0], ">f8"), (0.0, 2.0, 4.0)],
@@ -618,10 +613,6 @@ def test_arrays_are_written_as_lists_are(arrays):
 def test_any_array_that_fits_is_written(values):
     expected = encode(Numbers(n=[0.0, 2.0, 4.0], three=[0.0, 2.0, 4.0]))
     assert encode(Numbers(n=values, three=values)) == expected
-
-
-def test_an_array_of_wider_integers_is_written_as_bytes():
-    assert encode(Numbers(e=unchecked(np.array([1, 2], "u2")))) == encode(Numbers(e=[1, 2]))
 
 
 # --- what is read ---------------------------------------------------------------------------

@@ -89,11 +89,6 @@ def test_an_unknown_interface_gets_the_nearest(name, near):
         get_interface(name)
 
 
-def test_a_similar_package_alone_is_no_reason_to_suggest_its_interface():
-    with pytest.raises(UnknownInterface, match=r"'turtle_interfaces/action/Grip'$"):
-        get_interface("turtle_interfaces/action/Grip")
-
-
 @pytest.mark.parametrize("name", ["", "/", "a/b/c/d", "no_package/msg/Zzz", "../msg/Point", "\0"])
 def test_what_is_no_interface_is_unknown(name):
     with pytest.raises(UnknownInterface):
@@ -244,22 +239,6 @@ def test_a_file_with_the_same_definition_leaves_what_ships(tmp_path, is_installe
     path.write_text("float64 changed")  # it is not read again
     assert get_interface("geometry_msgs/msg/Point") is Point
     assert used == []
-
-
-def test_it_is_told_when_a_nearby_interface_is_first_used(tmp_path):
-    inner = write(tmp_path, "example_msgs/msg/Inner", "int32 x")
-    outer = write(tmp_path, "example_msgs/msg/Outer", "Inner inner")
-    used: list[tuple[str, str]] = []
-    files = {"example_msgs/msg/Inner": inner, "example_msgs/msg/Outer": outer}
-    offer_interfaces(files, lambda *use: used.append(use))
-    assert set(files) <= set(known_interfaces())
-    assert used == []
-    for _ in range(2):
-        get_interface("example_msgs/Outer")
-    assert used == [
-        ("example_msgs/msg/Outer", str(outer)),
-        ("example_msgs/msg/Inner", str(inner)),
-    ]
 
 
 @pytest.mark.parametrize("name", ["example_msgs/msg/Bad", "std_msgs/msg/String"])

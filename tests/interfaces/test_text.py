@@ -3,8 +3,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import subprocess
-import sys
 
 import pytest
 import yaml
@@ -332,17 +330,6 @@ def test_json_says_bytes_as_numbers_and_nan_as_null():
 
 def test_json_is_one_line_of_plain_text():
     assert to_json(PatrolCommandInterface.Feedback("ż\nó")) == '{"feedback_msg": "ż\\nó"}'
-
-
-def test_pyyaml_is_imported_only_when_needed():
-    code = (
-        "import sys, turtleact.interfaces as i; print('yaml' in sys.modules)\n"
-        "i.to_yaml; print('yaml' in sys.modules)"
-    )
-    output = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
-    assert output == "False\nTrue\n"
 
 
 words = st.text(st.characters(exclude_categories=["Cs"]))

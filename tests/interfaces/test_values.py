@@ -4,8 +4,6 @@ import array
 import enum
 import fractions
 import math
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -180,20 +178,6 @@ def test_an_object_whose_repr_breaks_can_be_named():
             raise RuntimeError
 
     assert "Broken" in describe(Broken())
-
-
-def test_numpy_is_not_needed():
-    code = (
-        "import sys; from turtleact.interfaces.values import converter, describe\n"
-        "from turtleact.interfaces.definition import ArrayForm, FieldType\n"
-        "from turtleact.errors import InvalidMessage\n"
-        "try: converter(FieldType('int32', None, ArrayForm.UNBOUNDED))({1})\n"
-        "except InvalidMessage as error: print(error, 'numpy' in sys.modules)"
-    )
-    output = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
-    assert output == ": expected a list of int32, got {1} False\n"
 
 
 @given(st.sampled_from(sorted(INTEGER_RANGES)), st.integers())

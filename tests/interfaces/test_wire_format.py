@@ -79,16 +79,6 @@ def test_a_message_of_another_class_is_refused():
     )
 
 
-def test_a_value_that_can_be_converted_is():
-    sums = WireFormat(Sum, asks=True)
-    request = Sum.Request(numbers=(1, 2))  # type: ignore[arg-type]  # that is the test
-    assert sums.encode(request) == sums.encode(REQUEST)
-
-
-def test_bytes_in_either_order_are_read():
-    assert WireFormat(Time).decode(bytes.fromhex("00000000 00000001 00000002")) == Time(1, 2)
-
-
 def test_bytes_without_a_header_are_refused():
     class Nothing(Message, type_name="lab_interfaces/msg/Nothing"):
         """No fields."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import threading
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +16,6 @@ from turtleact.goals.fault_reports import (
     ROOM,
     TOPIC,
     FaultReports,
-    LostFeedback,
     disk_fault,
     watching_disk,
 )
@@ -95,14 +93,6 @@ def test_a_disk_is_nearly_full_by_its_size(monkeypatch, total, free, is_fault):
         assert problem == (
             f"the disk of the journal /data/goals.db is nearly full: {free / 1e6:.0f} MB are free"
         )
-
-
-def test_a_disk_that_cannot_be_looked_at_is_no_fault():
-    assert not disk_fault(Path("/no/such/folder/goals.db"), "journal")
-
-
-def test_a_full_disk_is_noticed_within_three_seconds():
-    assert fault_reports.LOOK_EVERY < 3
 
 
 async def test_a_disk_is_looked_at_again_and_again(monkeypatch, tmp_path):
@@ -183,31 +173,6 @@ async def first_of(reader: Any) -> AsyncIterator[tuple[str, str]]:
     """What the first message of a subscription says."""
     for each in told(await anext(reader)):
         yield each
-
-
-async def test_lost_feedback_is_reported_each_time_its_number_has_doubled():
-    async with turtleact.open_node("lab") as node:
-        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
-        lost = LostFeedback(node.transport, "/lab", "/count", "did not reach", "")
-        for _ in range(9):
-            lost.add(1)
-        counts = [told(each)[0][1].split()[0] for each in reader.drain()]
-        assert counts == ["1", "2", "4", "8"]
-        lost.close()
-
-
-async def test_lost_feedback_is_a_fault_for_a_while_after_the_last_loss(monkeypatch):
-    monkeypatch.setattr(fault_reports, "AGAIN", 0.0)
-    async with turtleact.open_node("lab") as node:
-        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
-        lost = LostFeedback(node.transport, "/lab", "/count", "did not reach", "")
-        for _ in range(3):
-            lost.add(100)
-        [*_, last] = reader.drain()
-        assert told(last)[0][1].split()[0] == "300"
-        [until] = [float(each.value) for each in last.status[0].values if each.key == "until"]
-        assert 0 < until - time.time() <= fault_reports.LASTS + 1
-        lost.close()
 
 
 async def test_a_recording_on_a_nearly_full_disk_is_reported(monkeypatch, tmp_path):

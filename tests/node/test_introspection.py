@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from functools import partial
 from typing import Any, cast
 
 import anyio
@@ -17,7 +16,7 @@ from turtleact import (
     GoalStatus,
     open_world,
 )
-from turtleact.errors import InvalidOption, ServiceError, TurtleactError
+from turtleact.errors import InvalidOption, ServiceError
 from turtleact.goals.service_server import EVENT_QOS
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
@@ -28,7 +27,7 @@ from turtleact.node import Node
 from turtleact.node.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from ..lab import Count, HandClock, count, goal, result, running
+from ..lab import Count, HandClock, count, goal, result
 
 IMPLIED = implied(Count)
 SERVICES: dict[str, Any] = {
@@ -288,38 +287,6 @@ async def test_a_topic_of_events_can_be_seen_before_anybody_reads_it(address):
         assert (seen.qos.reliability, seen.qos.durability) == ("reliable", "volatile")
 
 
-@asynccontextmanager
-async def together(_: str) -> AsyncIterator[tuple[Node, Node]]:
-    """The same node twice."""
-    async with turtleact.open_node("lab") as node:
-        yield node, node
-
-
-TOGETHER_AND_APART = pytest.mark.parametrize("nodes", [together, apart])
-
-
-@TOGETHER_AND_APART
-async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(address, nodes):
-    started, gate = anyio.Event(), anyio.Event()
-
-    async def wait(_: SetBool.Request) -> SetBool.Response:
-        started.set()
-        await gate.wait()
-        return SetBool.Response()
-
-    async with nodes(address) as (far, near):
-        far.service(SetBool, "flip", wait)
-        client = near.service_client(SetBool, "flip", introspection="contents")
-        reader = near.subscription(event_message(SetBool), event_topic("/flip"))
-        await client.wait_for_service()
-        async with running(lambda: client.call(SetBool.Request())):
-            await started.wait()
-            await client.aclose()
-            gate.set()
-        assert [kind_of(each) for each in reader.drain()] == ["REQUEST_SENT", "RESPONSE_RECEIVED"]
-        assert not near.count_publishers(event_topic("/flip"))
-
-
 def complete(events: list[Any]) -> set[tuple[bytes, int]]:
     """The calls that both ends have published in full."""
     calls = call_ids(events)
@@ -335,19 +302,3 @@ async def test_a_world_publishes_the_events_of_all_its_actions_and_services():
         }
         services = {each.name for each in world.transport.endpoints() if each.kind == "service"}
         assert services == shown
-
-
-@pytest.mark.parametrize("end", ["serve", "join"])
-async def test_a_service_that_cannot_be_opened_leaves_no_topic_behind(monkeypatch, end):
-    def fail(*_: object) -> Any:
-        raise TurtleactError("no more room")
-
-    async with turtleact.open_node("lab") as node:
-        monkeypatch.setattr(node.transport, end, fail)
-        open_it: Any = {
-            "serve": partial(node.service, SetBool, "flip", flip),
-            "join": partial(node.service_client, SetBool, "flip"),
-        }[end]
-        with pytest.raises(TurtleactError, match="no more room"):
-            open_it(introspection="contents")
-        assert not node.transport.endpoints(event_topic("/flip"))

@@ -13,7 +13,6 @@ import pytest
 
 from turtleact import (
     NotLearned,
-    ServerUnavailable,
     TurtleactError,
     UnknownInterface,
     get_interface,
@@ -297,19 +296,6 @@ async def test_a_node_without_a_hash_is_named(package):
             await learn_interface(node, "battery")
 
 
-async def test_a_node_that_dies_in_between_is_named(package):
-    async with robot_and_node(package) as (robot, node):
-        robot.open("publisher", "/battery", BATTERY)
-
-        def die(request, truth):
-            name = f"{robot.node}/get_type_description"
-            raise ServerUnavailable(name, "the server went away", kind="service")
-
-        robot.answer = die
-        with pytest.raises(NotLearned, match=r"node /robot: .* the server went away"):
-            await learn_interface(node, "battery")
-
-
 async def test_a_node_that_does_not_answer_is_asked_again_until_the_timeout(package, monkeypatch):
     monkeypatch.setattr("turtleact.node.learning.QUESTION", 0.01)
     async with robot_and_node(package) as (robot, node):
@@ -329,16 +315,6 @@ async def test_a_node_that_offers_no_descriptions_is_named(package, monkeypatch)
         robot.service.close()
         with pytest.raises(NotLearned, match="node /robot offers no get_type_description"):
             await learn_interface(node, "battery")
-
-
-async def test_a_node_that_breaks_the_rules_of_names_does_not_stop_the_others(package):
-    async with robot_and_node(package) as (robot, node):
-        robot.open("publisher", "//bad name", BATTERY, "RIHS01_" + "0" * 64)
-        robot.serve_action("/dig", DIG)
-        await node.learner.learn_all(lambda kind, name: True)
-        dig = node.learner.known("/dig", "action")
-        assert dig is not None
-        assert dig.type_name == DIG
 
 
 async def test_no_node_is_asked_while_learning_is_off(package):

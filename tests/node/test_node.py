@@ -25,10 +25,8 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Message, Service, int32
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.node.conflicts import Rivals
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, open_zenoh
-from turtleact.transports.base import Endpoint
 
 from ..lab import (
     ON_ASYNCIO,
@@ -250,17 +248,6 @@ async def test_a_node_that_serves_a_name_with_the_same_type_twice_is_refused():
             lab.action_server(Count, "count", seven)
 
 
-async def test_a_node_of_the_same_name_in_the_same_process_is_refused():
-    transport = MemoryTransport()
-    async with (
-        turtleact.open_node("lab", transport=transport) as one,
-        turtleact.open_node("lab", transport=transport) as other,
-    ):
-        one.action_server(Count, "count", count)
-        with pytest.raises(ActionConflict, match="served by node /lab already"):
-            other.action_server(Count, "count", seven)
-
-
 async def test_one_that_waits_can_be_waited_for(caplog):
     async with two_nodes() as (lab, user), anyio.create_task_group() as beside:
         first = lab.action_server(Count, "count", count)
@@ -305,44 +292,6 @@ async def test_a_restarted_node_waits_for_its_predecessor_with_all_types_of_a_na
         await before.aclose()
         with anyio.fail_after(10.0):
             assert all([await server.wait_until_serving() for server in declared])
-
-
-class FarGraph:
-    """A graph on which only other processes serve the action; `turn` changes who does."""
-
-    def __init__(self) -> None:
-        self._changed = anyio.Event()
-        self._nodes: tuple[str, ...] = ("/first",)
-
-    def turn(self, *nodes: str) -> None:
-        self._nodes = nodes
-        self._changed.set()
-        self._changed = anyio.Event()
-
-    def endpoints(self, service: str) -> list[Endpoint]:
-        return [Endpoint("service", service, "lab/action/Count", node) for node in self._nodes]
-
-    def local(self, service: str, type_name: str) -> None:
-        """There is none in this process."""
-
-    async def wait_for_change(self) -> None:
-        await self._changed.wait()
-
-
-async def test_of_two_that_wait_in_two_processes_one_begins(monkeypatch):
-    over = anyio.Event()
-    monkeypatch.setattr(anyio, "sleep", lambda _: over.wait())
-    graph: Any = FarGraph()
-    rivals = Rivals(graph, "/count/_action/send_goal", "/third")
-    async with running(rivals.wait_until_free) as waiting:
-        graph.turn()
-        await settle()
-        graph.turn("/second")  # the other standby was faster
-        over.set()
-        await settle()
-        assert not waiting.done.is_set()
-        graph.turn()
-        await waiting.done.wait()
 
 
 async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):
@@ -585,28 +534,6 @@ async def test_all_actions_of_a_node_are_canceled_before_any_is_waited_for():
             assert await one.outcome() == await two.outcome() == SHUTDOWN
 
 
-async def test_a_server_that_is_being_closed_is_waited_for():
-    gate, log = Gate(), []
-
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-            log.append("cleaned up")
-
-    async with two_nodes() as (lab, user):
-        server = lab.action_server(Count, "count", body)
-        async with user.action_client(Count, "count").send_goal(goal()):
-            await settle()
-            async with running(server.aclose), running(lab.aclose) as leaving:
-                assert not leaving.done.is_set()
-                gate.opened.set()
-                await leaving.done.wait()
-                assert log == ["cleaned up"]
-
-
 async def test_what_is_closed_early_is_not_held_by_the_node():
     async with turtleact.open_node("lab") as node:
         closed = [open_it(node, "it") for open_it in OPENINGS.values()]
@@ -747,21 +674,3 @@ async def test_closing_twice_is_closing_once():
         await lab.aclose()
         await lab.aclose()
         assert user.graph().nodes == ("/user",)
-
-
-async def test_a_built_in_does_not_wait_for_a_goal_that_was_canceled_in_the_queue():
-    transport, gate = MemoryTransport(), Gate()
-    shared: Any = {"slot": "arm", "policy": "queue"}
-    async with (
-        turtleact.open_node("turtle_actions", transport=transport) as home,
-        turtleact.open_node("user", transport=transport) as user,
-    ):
-        home.action_server(Count, "busy", gate.wait, **shared)
-        home.action_server(Count, "count", seven, on_conflict="withdraw", **shared)
-        async with user.action_client(Count, "busy").send_goal(goal()):
-            async with user.action_client(Count, "count").send_goal(goal()) as waiting:
-                user.action_server(Count, "count", seven)
-                await settle()
-                await waiting.cancel()
-            await settle()
-            assert [each.node for each in transport.endpoints("/count/_action/status")] == ["/user"]

@@ -238,12 +238,6 @@ async def test_what_a_program_cannot_assign_is_an_error(name, value, problem):
             here.node.parameter(name).value = value
 
 
-async def test_the_value_that_it_has_is_no_change():
-    async with desk() as here:
-        here.depth.value = 5
-        assert here.changes == []
-
-
 async def test_a_node_shows_no_parameters_before_the_first():
     async with open_node("lab") as node:
         before = node.graph().services

@@ -31,7 +31,7 @@ from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 
-from ..lab import ON_ASYNCIO, other_tasks, running, settle
+from ..lab import other_tasks, running, settle
 
 
 class Add(Service, type_name="lab_interfaces/srv/Add"):
@@ -312,23 +312,6 @@ async def test_what_is_no_valid_response_is_a_service_error_and_logged(answer, r
     assert "/add gave no valid response: response" in caplog.text
 
 
-@ON_ASYNCIO
-@pytest.mark.parametrize(
-    "error",
-    [
-        asyncio.CancelledError(),
-        BaseExceptionGroup("", [asyncio.CancelledError(), asyncio.CancelledError()]),
-    ],
-)
-async def test_a_handler_that_is_canceled_from_within_is_a_service_error(error):
-    async def handler(request: Add.Request) -> Add.Response:
-        raise error
-
-    async with desk(handler) as served:
-        with pytest.raises(ServiceError, match="the handler was canceled from within"):
-            await served.client.call(numbers())
-
-
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
 @pytest.mark.parametrize("wait", [False, True])
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
@@ -527,19 +510,6 @@ async def test_a_cancellation_goes_on_once_the_handler_has_ended(gate):
         assert called.scope.cancelled_caught
 
 
-async def test_a_caller_that_is_canceled_leaves_others_alone(gate):
-    async with (
-        desk(gate.wait) as served,
-        running(lambda: served.client.call(numbers(1))) as first,
-        running(lambda: served.client.call(numbers(2))) as second,
-    ):
-        first.scope.cancel()
-        await first.done.wait()
-        gate.opened.set()
-        await second.done.wait()
-        assert second.value == total(2)
-
-
 @pytest.mark.parametrize("turns", range(12))
 @pytest.mark.parametrize("timeout", [None, 1e6])
 async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout):
@@ -559,20 +529,6 @@ async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout
     assert await tasks_of_asyncio() == before
 
 
-async def test_a_handler_that_does_not_end_holds_its_caller_for_the_grace_only(gate, no_grace):
-    async with (
-        desk(gate.hold_on) as served,
-        running(lambda: served.client.call(numbers())) as called,
-    ):
-        called.scope.cancel()
-        await called.done.wait()
-        assert gate.log == ["begun", "canceled"]
-        assert not served.is_idle
-        gate.opened.set()
-        await settle()
-        assert served.is_idle
-
-
 # --- closing --------------------------------------------------------------------------------
 
 
@@ -589,18 +545,6 @@ async def test_closing_a_server_answers_its_callers_and_waits_for_its_handlers(g
         assert gate.log == ["begun", "canceled", "over"]
 
 
-async def test_closing_a_server_is_not_cut_short_by_a_cancellation(gate):
-    async with (
-        desk(gate.hold_on) as served,
-        running(lambda: served.client.call(numbers())),
-        running(served.server.aclose) as closing,
-    ):
-        closing.scope.cancel()
-        await settle()
-        assert not closing.done.is_set()
-        gate.opened.set()
-
-
 async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_grace, caplog):
     async with desk(gate.hold_on) as served, running(lambda: served.client.call(numbers())):
         await served.server.aclose()
@@ -608,13 +552,6 @@ async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_gr
         assert "a handler of service /add has not ended; it is left running" in caplog.text
         gate.opened.set()
         await settle()
-
-
-async def test_a_closed_server_takes_no_request_from_one_who_still_holds_it():
-    async with desk() as served:
-        await served.server.aclose()
-        with pytest.raises(ServerUnavailable, match="the server was closed"):
-            await served.local.answer(numbers())
 
 
 async def test_calls_go_on_when_their_client_is_closed(gate):
@@ -662,6 +599,3 @@ async def test_a_server_answers_those_who_are_elsewhere():
         await served.server.aclose()
         with pytest.raises(ServerUnavailable):
             await caller.call(numbers(2, 3))
-
-
-# --- the graph ------------------------------------------------------------------------------

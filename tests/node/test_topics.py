@@ -12,7 +12,7 @@ import turtleact
 from turtleact import QoS
 from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.interfaces import Message, int32
-from turtleact.node.topics import Publisher, Subscription, publish_unchecked
+from turtleact.node.topics import Publisher, Subscription
 from turtleact.tasks import current_tasks
 
 from ..lab import running, settle
@@ -209,29 +209,6 @@ async def test_a_canceled_reader_loses_no_message():
             taken = reading.value or []
             left = [message.number for message in words.receiving.drain()]
             assert taken + left == [turns], f"after {turns} turns"
-
-
-async def test_what_is_taken_is_kept_for_nobody():
-    async with line() as words:
-        words.receiving.taker = lambda word: word.number % 2 == 0
-        say(words.sending, 1, 2, 3, 4)
-        assert await read(words.receiving, 2) == [1, 3]
-        assert words.receiving.drain() == []
-        assert words.receiving.latest == Word(number=4)
-
-
-async def test_what_is_published_unchecked_is_what_arrives():
-    async with line() as words:
-        word = Word(number=1)
-        publish_unchecked(words.sending, word)
-        assert words.receiving.latest is word
-
-
-async def test_a_closed_publisher_publishes_nothing_unchecked():
-    async with line() as words:
-        await words.sending.aclose()
-        publish_unchecked(words.sending, Word(number=1))
-        assert words.receiving.latest is None
 
 
 # --- closing --------------------------------------------------------------------------------

@@ -129,17 +129,6 @@ async def test_the_node_closes_what_has_no_type_yet():
         await client.send_goal({})
 
 
-async def test_two_tasks_that_need_the_type_at_once_open_one_client():
-    async with turtleact.open_node("lab") as node, anyio.create_task_group() as group:
-        node.action_server(Count, "count", count)
-        client = node.action_client("count")
-        for _ in range(2):
-            group.start_soon(client.wait_for_server)
-        await take_turns()
-        ends = node.transport.endpoints("/count/_action/send_goal")
-        assert [each.kind for each in ends].count("client") == 1
-
-
 @pytest.mark.loops("asyncio")
 async def test_a_wrong_name_and_a_missing_name_are_told_at_once():
     async with turtleact.open_node("lab") as node:

@@ -5,22 +5,15 @@ import time
 
 import pytest
 
-from turtleact.errors import InvalidMessage
-from turtleact.goals.state import GoalEvent, GoalStatus
-from turtleact.rclpy import toplevel as rclpy
+from turtleact.goals.state import GoalStatus
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
-from turtleact.rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
-from turtleact.rclpy.impl.connection import RequestHandler
+from turtleact.rclpy.executors import MultiThreadedExecutor
 from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.task import Future
-from turtleact.transports.base import Reply
 
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
-State = interface_class("action_msgs/msg/GoalStatus")
-States = interface_class("action_msgs/msg/GoalStatusArray")
-Info = interface_class("action_msgs/msg/GoalInfo")
 Rotate = interface_class("turtlesim/action/RotateAbsolute")
 UUID = interface_class("unique_identifier_msgs/msg/UUID")
 
@@ -283,26 +276,6 @@ def test_a_result_of_another_type_is_replaced(node, send, result_of, capsys):
     assert list(result_of(send()).result.sequence) == [8]
 
 
-def test_an_answer_is_handled_before_the_feedback_that_came_after_it(node, executor, context):
-    def report(goal_handle):
-        goal_handle.publish_feedback(Fibonacci.Feedback(sequence=[1]))
-        return succeed(goal_handle)
-
-    told: list[str] = []
-    other = rclpy.create_node("server", context=context)
-    ActionServer(other, Fibonacci, "fibonacci", report)
-    client = ActionClient(node, Fibonacci, "fibonacci")
-    sent = client.send_goal_async(Fibonacci.Goal(order=2), lambda _: told.append("feedback"))
-    sent.add_done_callback(lambda _: told.append("answer"))
-    serving = SingleThreadedExecutor(context=context)
-    serving.add_node(other)
-    for _ in range(5):
-        serving.spin_once(0)
-    while len(told) < 2:
-        executor.spin_once(1)
-    assert told == ["answer", "feedback"]
-
-
 def test_feedback_and_results_that_do_not_fit_their_types_are_refused(node, executor, capsys):
     said: list[str] = []
 
@@ -328,65 +301,6 @@ def test_feedback_and_results_that_do_not_fit_their_types_are_refused(node, exec
     assert "feedback.remaining: expected a number (float32), got 'a bit'" in said[1]
 
 
-def test_a_goal_that_ends_while_its_cancel_callback_runs_is_not_canceled(
-    node, send, result_of, executor
-):
-    held: list[ServerGoalHandle] = []
-
-    def hold(goal_handle):
-        held.append(goal_handle)
-        goal_handle.update(GoalEvent.EXECUTE)
-
-    def finish(goal_handle):
-        held[0].succeed()
-        return CancelResponse.ACCEPT
-
-    server = ActionServer(
-        node,
-        Fibonacci,
-        "fibonacci",
-        succeed,
-        handle_accepted_callback=hold,
-        cancel_callback=finish,
-    )
-    handle = send()
-    canceled = handle.cancel_goal_async()
-    executor.spin_until_future_complete(canceled, timeout_sec=2)
-    assert canceled.result().goals_canceling == []
-    with pytest.raises(RCLError, match="from state SUCCEEDED"):
-        held[0].abort()
-    assert held[0] == held[0]
-    assert len({held[0], held[0]}) == 1
-    assert held[0].goal_info.goal_id == held[0].goal_id
-    server.destroy()
-    held[0].abort()  # a server that is gone has no goals
-    assert held[0].status == GoalStatus.UNKNOWN
-
-
-def test_a_second_cancel_request_is_accepted_too(node, send, executor):
-    goes_on = Future()
-
-    async def wait(goal_handle):
-        await goes_on
-        goal_handle.canceled()
-        return Fibonacci.Result()
-
-    ActionServer(
-        node, Fibonacci, "fibonacci", wait, cancel_callback=lambda _: CancelResponse.ACCEPT
-    )
-    handle = send()
-    for _ in range(2):
-        canceled = handle.cancel_goal_async()
-        executor.spin_until_future_complete(canceled, timeout_sec=2)
-        assert len(canceled.result().goals_canceling) == 1
-    ended = handle.get_result_async()
-    goes_on.set_result(None)
-    executor.spin_until_future_complete(ended, timeout_sec=2)
-    assert ended.result().status == GoalStatus.CANCELED
-    while handle.status != GoalStatus.CANCELED:
-        executor.spin_once(timeout_sec=1)
-
-
 def test_an_execute_callback_must_be_callable(node, send):
     held: list[ServerGoalHandle] = []
     server = ActionServer(
@@ -397,76 +311,3 @@ def test_an_execute_callback_must_be_callable(node, send):
     send()
     with pytest.raises(TypeError, match="not callable"):
         held[0].execute("soon")
-
-
-def test_a_node_without_an_executor_executes_no_goal(node, context):
-    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
-    info = interface_class("action_msgs/msg/GoalInfo")()
-    handle = ServerGoalHandle(server, info, Fibonacci.Goal())
-    handle.execute()
-    assert handle.status == GoalStatus.EXECUTING
-
-
-def test_requests_and_answers_that_cannot_be_read_are_logged(node, executor, send, capsys):
-    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
-    end = node.connection.local("/fibonacci/_action/send_goal", f"{Fibonacci.type_name}_SendGoal")
-    assert end is not None
-    refused: list[object] = []
-    end.take(b"\0\1\0\0", refused.append)
-    assert isinstance(refused[0], InvalidMessage)
-    assert "a request cannot be read" in capsys.readouterr().err
-    server.destroy()
-
-    def answer(request, respond):
-        respond(Reply(b"\0\1\0\0"))
-
-    handler = RequestHandler(answer)
-    type_name = f"{Fibonacci.type_name}_SendGoal"
-    raw = node.endpoint("service", "/fibonacci/_action/send_goal", type_name)
-    node.connection.serve(raw, handler)
-    client = ActionClient(node, Fibonacci, "fibonacci")
-    sent = client.send_goal_async(Fibonacci.Goal())
-    executor.spin_once(timeout_sec=1)
-    assert not sent.done()
-    assert "a response cannot be read" in capsys.readouterr().err
-
-
-def test_an_answer_to_a_cancelled_future_is_dropped(node, executor):
-    ActionServer(node, Fibonacci, "fibonacci", succeed)
-    client = ActionClient(node, Fibonacci, "fibonacci")
-    sent = client.send_goal_async(Fibonacci.Goal(), goal_uuid=UUID(uuid=list(range(16))))
-    sent.cancel()
-    for _ in range(5):
-        executor.spin_once(timeout_sec=0)
-    assert (sent.cancelled(), sent.done()) == (True, False)
-
-
-def test_a_blocking_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch, capsys):
-    monkeypatch.setattr("turtleact.rclpy.impl.entity.PATIENCE", 0.01)
-    monkeypatch.setattr("turtleact.rclpy.impl.entity.BLOCKED_AFTER", 0.02)
-    other = rclpy.create_node("server", context=context)
-    ActionServer(other, Fibonacci, "fibonacci", succeed)
-    serving = SingleThreadedExecutor(context=context)
-    serving.add_node(other)
-    client = ActionClient(node, Fibonacci, "fibonacci")
-    threading.Thread(target=serving.spin_once, daemon=True).start()
-    sent = client.send_goal_async(Fibonacci.Goal())
-    threading.Timer(0.2, context.shutdown).start()
-    assert client.wait_for_future(sent, "send_goal()") is None
-    said = capsys.readouterr().err
-    assert "send_goal() of /fibonacci has waited" in said
-    assert "nobody spins the node" in said
-
-
-def test_an_execute_callback_that_is_surprised_by_a_shutdown_is_no_error(
-    node, context, send, capsys
-):
-    publisher = node.create_publisher(UUID, "chatter", 10)
-
-    def publish(goal_handle):
-        context.shutdown()
-        publisher.publish(UUID())
-
-    ActionServer(node, Fibonacci, "fibonacci", publish)
-    assert send() is None
-    assert "Error raised" not in capsys.readouterr().err

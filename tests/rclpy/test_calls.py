@@ -18,13 +18,11 @@ from turtleact.rclpy.action import ActionClient, ActionServer
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.executors import SingleThreadedExecutor
-from turtleact.rclpy.impl.connection import RequestHandler
 from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.process import PROCESS
 from turtleact.rclpy.messages import hash_of, interface_class
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.services import ServiceIntrospectionState
-from turtleact.transports.base import Reply
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
@@ -213,19 +211,6 @@ def test_a_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch,
     why = "held by a guard condition" if is_held else "nobody spins the node"
     assert "call() of /add has waited" in said
     assert why in said
-
-
-def test_an_answer_that_comes_too_late_is_dropped(node, executor):
-    answers: list[Any] = []
-    end = node.endpoint("service", "/raw", "example_interfaces/srv/AddTwoInts")
-    handler = RequestHandler(lambda request, respond: answers.append(respond))
-    node.connection.serve(end, handler)
-    client = node.create_client(AddTwoInts, "raw")
-    future = client.call_async(AddTwoInts.Request())
-    client.remove_pending_request(future)
-    answers[0](Reply(b"\0\1\0\0"))
-    executor.spin_once(timeout_sec=1)
-    assert not future.done()
 
 
 def test_a_request_that_cannot_be_read_is_refused_and_logged(node, executor, capsys):

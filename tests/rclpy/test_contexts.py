@@ -17,7 +17,6 @@ from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.context import Context, SignalHandlerOptions
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from turtleact.rclpy.impl.process import Process
 from turtleact.rclpy.task import Future
 
 
@@ -59,28 +58,6 @@ def test_an_early_context_has_no_domain_and_no_graph():
     context.try_shutdown()
 
 
-def test_the_end_of_the_process_waits_for_contexts_that_other_threads_shut_down():
-    process = Process()
-    began, goes_on = threading.Event(), threading.Event()
-
-    def end():
-        with process.ending:
-            began.set()
-            goes_on.wait()
-            process.shut_down()  # which does not wait for this thread itself
-
-    ending = threading.Thread(target=end)
-    ending.start()
-    began.wait()
-    leaving = threading.Thread(target=process.shut_down)
-    leaving.start()
-    leaving.join(0.05)
-    assert leaving.is_alive()
-    goes_on.set()
-    ending.join()
-    leaving.join()
-
-
 def test_the_domain_comes_from_the_call_or_the_environment(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     first, second = Context(), Context()
@@ -110,17 +87,6 @@ def test_callbacks_of_a_shutdown_are_called_once_and_do_not_keep_their_objects(c
     context.try_shutdown()
     context.on_shutdown(lambda: told.append("late"))
     assert told == [kept, "late"]
-
-
-def test_a_node_that_cannot_be_destroyed_does_not_stop_a_shutdown(context):
-    class Broken:
-        def destroy_node(self):
-            raise ValueError("broken")
-
-    node = Broken()
-    context.nodes.add(node)
-    context.shutdown()
-    assert not context.ok()
 
 
 def test_the_default_context_is_new_after_a_shutdown(default):

@@ -51,17 +51,6 @@ def test_a_subscription_keeps_the_newest_messages_of_its_depth(node, executor):
     assert heard == ["b", "c"]
 
 
-def test_a_latched_message_reaches_a_late_subscription(node, executor):
-    from turtleact.rclpy.qos import DurabilityPolicy, QoSProfile
-
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    node.create_publisher(String, "map", latched).publish(String(data="lab"))
-    heard = []
-    node.create_subscription(String, "map", lambda message: heard.append(message.data), latched)
-    executor.spin_once(timeout_sec=1)
-    assert heard == ["lab"]
-
-
 def test_a_round_serves_tasks_then_timers_then_subscriptions_then_guards(node, executor):
     order = []
     guard = node.create_guard_condition(lambda: order.append("guard"))
@@ -175,10 +164,6 @@ def test_a_shutdown_in_a_callback_ends_the_spin(context, node, executor):
     node.create_timer(0.0, context.shutdown)
     executor.spin()
     assert not context.ok()
-
-
-def test_spin_once_waits_no_longer_than_its_timeout(executor):
-    executor.spin_once(timeout_sec=0.01)
 
 
 def test_a_task_that_awaits_a_future_goes_on_when_it_is_done(executor):
@@ -356,15 +341,6 @@ def test_a_shutdown_waits_for_callbacks_no_longer_than_asked(node, context, kind
 def test_one_thread_is_too_few_for_a_multi_threaded_executor(context):
     with pytest.warns(UserWarning, match="use a SingleThreadedExecutor"):
         MultiThreadedExecutor(1, context=context).shutdown()
-
-
-def test_a_node_moves_from_one_executor_to_another(node, executor, context):
-    other = SingleThreadedExecutor(context=context)
-    node.executor = other
-    assert (executor.get_nodes(), other.get_nodes()) == ([], [node])
-    node.executor = other
-    node.executor = None
-    assert (node.executor, other.get_nodes()) == (None, [])
 
 
 def test_a_guard_condition_may_have_no_callback_or_a_coroutine(node, executor):

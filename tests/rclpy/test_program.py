@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
 
 import pytest
 
 from turtleact.interfaces.types import REGISTRY
-from turtleact.rclpy import ament_index, command, program
+from turtleact.rclpy import ament_index, program
 from turtleact.rclpy.__main__ import main
 from turtleact.rclpy.face import SETTINGS
 
@@ -106,31 +105,6 @@ def test_a_process_is_left_with_the_status_of_its_exception(leaving, capsys, err
     assert bool(capsys.readouterr().err) is is_shown
 
 
-def test_threads_that_do_not_end_are_named(monkeypatch, capsys):
-    monkeypatch.setattr(program, "ENDING", 0.01)
-    goes_on = threading.Event()
-    thread = threading.Thread(target=goes_on.wait, name="stuck arm")
-    thread.start()
-    assert program.end_threads() == ["stuck arm"]
-    goes_on.set()
-    thread.join()
-    assert "threads that do not end: stuck arm" in capsys.readouterr().err
-    assert program.end_threads() == []
-
-
-def test_a_program_that_has_no_graph_has_nothing_to_end(monkeypatch):
-    monkeypatch.delitem(sys.modules, "turtleact.rclpy.impl.process")
-    assert program.end_threads() == []
-
-
-def test_a_program_with_a_stuck_thread_is_left(run, tmp_path, monkeypatch, leaving):
-    monkeypatch.setattr(command, "end_threads", lambda: ["stuck arm"])
-    (tmp_path / "arm.py").write_text("raise SystemExit(4)\n")
-    with pytest.raises(Left):
-        run("--face=turtleact", "arm.py")
-    assert leaving[-1] == 4
-
-
 def test_packages_are_found_where_they_are_installed_or_written(tmp_path, monkeypatch):
     prefix = tmp_path / "install"
     (prefix / "share" / "arm").mkdir(parents=True)
@@ -144,15 +118,3 @@ def test_packages_are_found_where_they_are_installed_or_written(tmp_path, monkey
     assert ament_index.get_package_share_directory("hand") == str(sources)
     with pytest.raises(ament_index.PackageNotFoundError, match="'leg' not found"):
         ament_index.get_package_prefix("leg")
-
-
-def test_a_signal_before_the_program_begins_ends_the_process_silently(run, tmp_path, monkeypatch):
-    handlers: list[object] = []
-    monkeypatch.setattr(signal, "signal", lambda number, handler: handlers.append(handler))
-    (tmp_path / "arm.py").write_text("")
-    run("--face=turtleact", "arm.py")
-    assert handlers == [signal.SIG_DFL, signal.default_int_handler]
-    handlers.clear()
-    monkeypatch.setattr(signal, "getsignal", lambda number: signal.SIG_IGN)
-    run("--face=turtleact", "arm.py")
-    assert handlers == [signal.SIG_IGN]

@@ -83,16 +83,6 @@ def test_a_destroyed_end_leaves_the_topic(node, ends):
     assert node.count_publishers("add/_service_event") == 1
 
 
-def test_a_destroyed_client_does_not_receive_the_response(node, executor, ends, events):
-    configure(node, ServiceIntrospectionState.METADATA, *ends)
-    future = ends[1].call_async(AddTwoInts.Request(a=2, b=3))
-    node.destroy_client(ends[1])
-    hear(executor, events, 3)
-    executor.spin_once(timeout_sec=0)
-    assert [event.info.event_type for event in events] == KINDS[:3]
-    assert not future.done()
-
-
 @pytest.mark.parametrize("index", range(4), ids=["service", "client", "server", "action client"])
 def test_a_destroyed_entity_cannot_publish_events(node, ends, index):
     actions = ActionServer(node, Fibonacci, "count", print), ActionClient(node, Fibonacci, "count")
