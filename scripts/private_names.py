@@ -27,7 +27,7 @@ FOLDERS = ("turtleact", "tests", "benchmarks", "examples", "scripts")
 
 ALLOWED: set[tuple[str, str]] = {
     # Whether a loop has callbacks ready; falls back to polling.
-    ("turtleact/tasks/idle.py", "_ready"),
+    ("turtleact/tasks/clock.py", "_ready"),
     # `AsyncioTasks.is_shielded`: `asyncio.Task.cancel` would break into a shielded scope of anyio,
     # and anyio has no public way to ask for one. Without the names, the cancellation arrives at
     # once.

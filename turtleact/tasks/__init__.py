@@ -21,8 +21,8 @@ from turtleact.tasks.background import (
     run_in_daemon,
     wait_while,
 )
+from turtleact.tasks.clock import thread_work, wait_until_idle
 from turtleact.tasks.event_loops import Signal, Task, Tasks, current_tasks, is_cancellation
-from turtleact.tasks.idle import idleness, thread_work, wait_until_idle
 
 __all__ = [
     "GRACE",
@@ -32,7 +32,6 @@ __all__ = [
     "Task",
     "Tasks",
     "current_tasks",
-    "idleness",
     "is_cancellation",
     "opening",
     "run_in_daemon",
