@@ -20,7 +20,6 @@ import functools
 import inspect
 import logging
 from collections.abc import (
-    AsyncGenerator,
     AsyncIterable,
     AsyncIterator,
     Awaitable,
@@ -206,16 +205,8 @@ class Declare(Protocol[G, R, F]):
 
     @overload
     def __call__(
-        self, execute: Callable[[G], AsyncGenerator[F | R, None]], /
-    ) -> ActionDeclaration[[G], AsyncGenerator[F | R, None]]: ...
-    @overload
-    def __call__(
         self, execute: Callable[[G], AsyncIterator[F | R]], /
     ) -> ActionDeclaration[[G], AsyncIterator[F | R]]: ...
-    @overload
-    def __call__(
-        self, execute: Callable[[G, H], AsyncGenerator[F | R, None]], /
-    ) -> ActionDeclaration[[G, H], AsyncGenerator[F | R, None]]: ...
     @overload
     def __call__(
         self, execute: Callable[[G, H], AsyncIterator[F | R]], /

@@ -188,7 +188,7 @@ class DurableGoals(GoalObserver):
         """Return the goal of a record. If the server has forgotten the goal, restore it."""
         goal = self._server.find(record.id)
         if goal is None:
-            if not self._owns(record) or not record.ended:
+            if not self.owns(record) or not record.ended:
                 raise GoalRejected(f"the id {record.id.hex()} belongs to another goal")
             goal = self._restore_ended(record)
             goal.ended = self._server.now()
@@ -351,7 +351,7 @@ class DurableGoals(GoalObserver):
             goal.reason = rejected.reason
             self._server.end_canceled(goal)
 
-    def _owns(self, record: GoalRecord) -> bool:
+    def owns(self, record: GoalRecord) -> bool:
         """Whether a record has the name and the type of this action."""
         names = (record.action, record.type_name)
         return names == (self._name, self._action_type.type_name)
@@ -432,27 +432,23 @@ class Restoring:
             self._servers.append(server)
 
     def _restore(self) -> None:
+        """Restore the goals in the journals of these servers.
+
+        Servers may share a slot. Therefore the goals of all servers are restored in one order:
+        first the goals that ran, then those that waited for their turn. If several servers have the
+        same action name, a goal goes to the server with the goal's action type. If no server has
+        that type, an unfinished goal is not resumed, because the action type has changed.
+        """
         servers, self._servers = self._servers, []
-        _restore_all(servers)
-
-
-def _restore_all(servers: list[DurableGoals]) -> None:
-    """Restore the goals in the journals of these servers.
-
-    Servers may share a slot. Therefore the goals of all servers are restored in one order: first
-    the goals that ran, then those that waited for their turn. If several servers have the same
-    action name, a goal goes to the server with the goal's action type. If no server has that type,
-    an unfinished goal is not resumed, because the action type has changed.
-    """
-    found: dict[bytes, tuple[GoalRecord, DurableGoals]] = {}
-    for server in servers:
-        for record in server.load():
-            if record.id not in found or server._owns(record):
-                found[record.id] = record, server
-    for record, server in sorted(found.values(), key=_by_turn):
-        server.restore(record)
-    for server in servers:
-        server.restored.set()
+        found: dict[bytes, tuple[GoalRecord, DurableGoals]] = {}
+        for server in servers:
+            for record in server.load():
+                if record.id not in found or server.owns(record):
+                    found[record.id] = record, server
+        for record, server in sorted(found.values(), key=_by_turn):
+            server.restore(record)
+        for server in servers:
+            server.restored.set()
 
 
 def _by_turn(found: tuple[GoalRecord, DurableGoals]) -> tuple[bool, int]:

@@ -20,6 +20,7 @@ import msgspec
 
 from turtleact.errors import STOPS
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus
+from turtleact.transports.base import Source
 
 __all__ = [
     "BodyFailed",
@@ -30,6 +31,7 @@ __all__ = [
     "Lost",
     "News",
     "Observers",
+    "ObservingSource",
 ]
 
 logger = logging.getLogger("turtleact")
@@ -281,3 +283,20 @@ class Observers:
             except BaseException as error:  # also a stray cancellation
                 problem = "an observer of the goals of %s failed"
                 logger.error(problem, self._action, exc_info=error)
+
+
+class ObservingSource(Source, GoalObserver):
+    """Makes the messages of a topic about goals.
+
+    It observes the goals only while the topic has readers, because observing costs time for each
+    goal.
+    """
+
+    def __init__(self, observers: Observers) -> None:
+        self._observers = observers
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Start to observe goals if the topic has readers; otherwise stop."""
+        self._observers.remove(self)
+        if has_readers:
+            self._observers.add(self)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import anyio
 
 from turtleact.errors import PauseRefused, TurtleactError
-from turtleact.goals.observers import GoalObserver
+from turtleact.goals.observers import ObservingSource
 from turtleact.goals.service_server import LocalServiceServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import UUID
 from turtleact.interfaces.standard.std_srvs.srv import Trigger
-from turtleact.transports.base import STATUS_QOS, Closeable, Publication, Source
+from turtleact.transports.base import STATUS_QOS, Closeable, Publication
 
 if TYPE_CHECKING:
     from turtleact.goals.server import LocalActionServer
@@ -34,7 +34,7 @@ PATIENCE = 5.0
 _PAUSABLE = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
-class PauseEndpoints(Source, GoalObserver):
+class PauseEndpoints(ObservingSource):
     """The services and the topic with which other processes pause and resume a server's goals.
 
     Args:
@@ -47,6 +47,7 @@ class PauseEndpoints(Source, GoalObserver):
     def __init__(
         self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint, tasks: Tasks
     ) -> None:
+        super().__init__(server.observers)
         self._server = server
         self._transport = transport
         self._endpoint = endpoint
@@ -77,15 +78,6 @@ class PauseEndpoints(Source, GoalObserver):
         """Publish which goals are paused now."""
         if self._publication is not None:
             self._publication.refresh()
-
-    def readers_changed(self, *, has_readers: bool) -> None:
-        """Start observing pauses when the topic gets readers; stop when it has none.
-
-        Observing costs time for each goal.
-        """
-        self._server.observers.remove(self)
-        if has_readers:
-            self._server.observers.add(self)
 
     def current(self) -> Sequence[object]:
         """Build the message with all goals that are paused."""

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import msgspec
 
 from turtleact.errors import CUT_OFF, STOPPED, GoalRejected
-from turtleact.goals.observers import FeedbackLost, GoalObserver
+from turtleact.goals.observers import FeedbackLost, ObservingSource
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.service_server import Introspection, service_events
@@ -266,7 +266,7 @@ class FeedbackTopic(Source):
         return implied(self._action).feedback_message
 
 
-class StatusTopic(Source, GoalObserver):
+class StatusTopic(ObservingSource):
     """Publishes the status of all goals that a server holds.
 
     A message lists all goals, and a server may hold thousands. The topic therefore builds a message
@@ -279,6 +279,7 @@ class StatusTopic(Source, GoalObserver):
     """
 
     def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
+        super().__init__(server.observers)
         self._server = server
         self._clock = transport.clock
         self._expiring: Background | None = None
@@ -299,17 +300,13 @@ class StatusTopic(Source, GoalObserver):
         return (write_states([(goal.id, goal.stamp, goal.status) for goal in held]),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Start to observe goals if the topic has readers; otherwise stop observing."""
-        self._stop_observing()
-        if has_readers:
-            self._server.observers.add(self)
-            name, tasks = f"the status of {self._server.name}", self._server.tasks
-            self._expiring = Background(self._refresh_at_expiries(), name, tasks)
-
-    def _stop_observing(self) -> None:
-        self._server.observers.remove(self)
+        """Start to observe goals and their expiry if the topic has readers; otherwise stop."""
+        super().readers_changed(has_readers=has_readers)
         if self._expiring is not None:
             self._expiring.cancel()
+        if has_readers:
+            name, tasks = f"the status of {self._server.name}", self._server.tasks
+            self._expiring = Background(self._refresh_at_expiries(), name, tasks)
 
     async def _refresh_at_expiries(self) -> None:
         """Publish the status again when goals have expired, so that no reader asks for them."""
@@ -336,12 +333,12 @@ class StatusTopic(Source, GoalObserver):
 
     def close(self) -> None:
         """Close the topic."""
-        self._stop_observing()
+        self.readers_changed(has_readers=False)
         if self._publication is not None:
             self._publication.close()
 
 
-class ReasonTopic(Source, GoalObserver):
+class ReasonTopic(ObservingSource):
     """Publishes, for recorders, why goals were rejected or ended without success.
 
     ROS 2 has no topic for reasons, and its messages have no field for a reason. Clients get the
@@ -356,19 +353,10 @@ class ReasonTopic(Source, GoalObserver):
     def __init__(
         self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint
     ) -> None:
-        self._server = server
+        super().__init__(server.observers)
         name, type_name = reason_topic(server.name), GoalReason.type_name
         described = endpoint("publisher", name, type_name, QoS(depth=100))
         self._publication = transport.advertise(described, WireFormat(GoalReason), self)
-
-    def readers_changed(self, *, has_readers: bool) -> None:
-        """Start to observe goals if the topic has readers; otherwise stop observing.
-
-        Observing costs time for each goal.
-        """
-        self._server.observers.remove(self)
-        if has_readers:
-            self._server.observers.add(self)
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """If a goal has ended and has a reason, publish the reason."""
@@ -382,7 +370,7 @@ class ReasonTopic(Source, GoalObserver):
 
     def close(self) -> None:
         """Close the topic."""
-        self._server.observers.remove(self)
+        self.readers_changed(has_readers=False)
         self._publication.close()
 
     def _publish(self, goal_id: bytes, status: GoalStatus, reason: str) -> None:

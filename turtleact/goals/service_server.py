@@ -29,9 +29,8 @@ Source: rclpy ``service.py`` for names and behaviour; rcl ``service_event_publis
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
-from contextlib import contextmanager
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast, get_args
@@ -66,7 +65,6 @@ __all__ = [
     "LocalServiceServer",
     "ServiceType",
     "checker",
-    "closed_on_error",
     "service_events",
 ]
 
@@ -358,17 +356,6 @@ def service_events(
         return None
     has_contents = mode == "contents"
     return ServiceEvents(transport, endpoint, service, find_type, has_contents=has_contents)
-
-
-@contextmanager
-def closed_on_error(events: CallObserver | None) -> Iterator[CallObserver | None]:
-    """Close a service's event publisher if the block raises, or its topic would stay."""
-    try:
-        yield events
-    except BaseException:
-        if events is not None:
-            events.close()
-        raise
 
 
 def _checked_handler(handler: object) -> Callable[[Message], object]:

@@ -49,7 +49,6 @@ __all__ = [
     "failure",
     "select",
     "status_of",
-    "transition",
 ]
 
 
@@ -256,21 +255,6 @@ TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingP
 
 
 _CANCEL_GOAL: Final = GoalEvent.CANCEL_GOAL
-
-
-def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
-    """Return the state that ``event`` leads to from ``status``.
-
-    Raises:
-        InvalidTransition: if the event is not allowed in that state.
-
-    >>> transition(GoalStatus.EXECUTING, GoalEvent.SUCCEED).name
-    'SUCCEEDED'
-    """
-    try:
-        return TRANSITIONS[status, event]
-    except KeyError:
-        raise InvalidTransition(status, event) from None
 
 
 class Cancelable(Protocol):

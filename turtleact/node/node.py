@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
@@ -33,7 +33,7 @@ from turtleact.goals.policies import Slots
 from turtleact.goals.running import GoalHandle
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
-from turtleact.goals.service_server import LocalServiceServer, closed_on_error, service_events
+from turtleact.goals.service_server import LocalServiceServer, service_events
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
@@ -380,8 +380,8 @@ class Node:
         server = LocalServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
         format = WireFormat(cast("type[Service]", service_type))
-        with self._events(endpoint, service_type, introspection) as server.observer:
-            registration = self.transport.serve(endpoint, format, server)
+        server.observer = self._events(endpoint, service_type, introspection)
+        registration = self.transport.serve(endpoint, format, server)
         return ServiceServer(server, self._resources, registration)
 
     @overload
@@ -410,9 +410,9 @@ class Node:
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
-        with self._events(endpoint, service_type, introspection) as observer:
-            caller = self.transport.join(endpoint, format)
-        caller.observer = observer
+        events = self._events(endpoint, service_type, introspection)
+        caller = self.transport.join(endpoint, format)
+        caller.observer = events
         client = ServiceClient(
             service_type, full_name, self.transport, caller, self._resources, self._tasks
         )
@@ -535,11 +535,10 @@ class Node:
 
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None
-    ) -> AbstractContextManager[CallObserver | None]:
-        """Open a service's event publisher, and close the publisher if the block raises."""
+    ) -> CallObserver | None:
+        """Open a service's event publisher, unless introspection is off."""
         find_type, shown = (lambda: service_type), introspection or self.introspection
-        events = service_events(self.transport, self._endpoint, service, find_type, shown)
-        return closed_on_error(events)
+        return service_events(self.transport, self._endpoint, service, find_type, shown)
 
     def _endpoint(
         self,
