@@ -8,12 +8,14 @@ The times and the ids of the goals are made up. A test asserts that the page hol
 from __future__ import annotations
 
 import asyncio
-import os
+from io import StringIO
 from typing import Any
+
+from rich.console import Console
 
 from turtleact import open_world
 from turtleact.actions.patrol import Patrol
-from turtleact.commands.live import Dashboard, lines
+from turtleact.commands.live import Dashboard
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
 
@@ -46,9 +48,11 @@ async def draw() -> list[str]:
             await node.clock.sleep(2.0)
             goal.detach()
             content = board.compose(width=WIDTH, height=HEIGHT)
-            return [*log[-3:], *lines(content, width=WIDTH, height=HEIGHT)]
+            console = Console(file=StringIO(), width=WIDTH, record=True)
+            console.print(content)
+            drawn = console.export_text().splitlines()[:HEIGHT]
+            return [*log[-3:], *map(str.rstrip, drawn)]
 
 
 if __name__ == "__main__":
-    os.environ |= {"TERM": "dumb"}
     print("\n".join(asyncio.run(draw())))

@@ -246,6 +246,20 @@ def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch
     assert ran.err == f"turtleact: {problem}\n"
 
 
+@pytest.mark.parametrize("line", [["info", "-v"], ["goals"], ["convert", "-o", "cut", "-i"]])
+def test_ctrl_c_ends_a_command_that_reads_a_bag(turtleact, bag, tmp_path, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    read = Bag.messages
+
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return read(*arguments)
+
+    monkeypatch.setattr(Bag, "messages", interrupted)
+    assert turtleact("bag", *line, str(bag)) == (130, "", "turtleact: interrupted\n")
+    assert [each.name for each in tmp_path.iterdir()] == ["run"]
+
+
 # --- playing, goals, converting ------------------------------------------------------------------
 
 

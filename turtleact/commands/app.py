@@ -11,7 +11,6 @@ documented methods of click.
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 from collections.abc import Callable, Sequence
@@ -39,7 +38,6 @@ __all__ = [
     "new_group",
     "run",
     "verb",
-    "without_daemon",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -89,20 +87,14 @@ class Verb(TyperCommand):
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Parse the arguments.
 
-        Values may begin with a dash, such as ``-5``. Options that control the daemon of ``ros2``
-        are ignored.
+        Values may begin with a dash, such as ``-5``.
         """
         known = {option for param in self.params for option in param.opts}
-        if "--connect" in known:
-            args = without_daemon(args)
         if "--param" in known:  # in ROS 2, parameters stand behind --ros-args
             args = [arg for arg in args if arg != "--ros-args"]
         if any(arg not in known and _VALUE.match(arg) for arg in args):
             ctx.ignore_unknown_options = True
-        left = super().parse_args(ctx, args)
-        for param in self.params:
-            _check_text(ctx, param)
-        return left
+        return super().parse_args(ctx, args)
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
         """Return the options and arguments, set up so that the help shows no type for switches."""
@@ -375,22 +367,6 @@ def new_group(name: str, summary: str = "") -> typer.Typer:
     )
 
 
-def without_daemon(args: Sequence[str]) -> list[str]:
-    """Remove the options that control the daemon of ``ros2``, because turtleact has no daemon.
-
-    >>> without_daemon(["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"])
-    ['-t']
-    """
-    kept: list[str] = []
-    left = iter(args)
-    for arg in left:
-        if arg == "--spin-time":
-            next(left, None)
-        elif arg != "--no-daemon" and not arg.startswith("--spin-time="):
-            kept.append(arg)
-    return kept
-
-
 def _print_help(ctx: typer.Context, value: bool) -> None:
     if value and not ctx.resilient_parsing:
         typer.echo(ctx.get_help())
@@ -437,16 +413,3 @@ def _without_type(params: list[Any]) -> list[Any]:
         if getattr(param, "is_flag", False) and param.metavar is None:
             param.metavar = ""
     return params
-
-
-def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument
-    """Raise an error if text is not UTF-8. Paths are not checked: a file may have any name."""
-    value = ctx.params.get(param.name)
-    for text in value if isinstance(value, list | tuple) else [value]:
-        if not isinstance(text, str):
-            continue
-        try:
-            text.encode()
-        except UnicodeEncodeError:
-            problem = f"it is not UTF-8: {os.fsencode(text)!r}"
-            raise typer.BadParameter(problem, ctx=ctx, param=param) from None

@@ -9,16 +9,14 @@ The goals, their bodies and the world know nothing of the displays.
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Sequence
-from io import StringIO
 from itertools import islice
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import anyio
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -67,7 +65,6 @@ __all__ = [
     "Picture",
     "board",
     "frame",
-    "lines",
 ]
 
 Picture: TypeAlias = RenderableType
@@ -417,17 +414,6 @@ class PanelData(NamedTuple):
     goals: Sequence[GoalView] | None = None
     more: int = 0
     keys: Sequence[str] = ()
-
-
-def lines(content: Picture, *, width: int, height: int) -> list[str]:
-    """Render a picture for this terminal: at most ``height`` lines of at most ``width`` columns."""
-    console = Console(
-        file=StringIO(), width=width, height=height, force_terminal=True, highlight=False
-    )
-    with console.capture() as capture:
-        console.print(content, end="")
-    text = re.sub(r" +((?:\x1b\[[0-9;]*m)*)$", r"\1", capture.get(), flags=re.MULTILINE)
-    return text.rstrip("\n").split("\n")[:height]
 
 
 def _inline(value: object) -> str:

@@ -16,8 +16,8 @@ from turtleact.commands import VERBS
 from turtleact.commands.app import SETTINGS, verb
 from turtleact.commands.options import Embedded, flag, host_and_port, only_one, value
 from turtleact.commands.output import note, say
-from turtleact.commands.settings import WrongOptions
-from turtleact.errors import InvalidOption, TurtleactError, UsageError
+from turtleact.commands.settings import WrongOptions, naming
+from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import ConnectOptions
@@ -183,12 +183,8 @@ async def _serve_http(
 
     opened = open_http(server, *address, token=token, hosts=hosts)
     async with AsyncExitStack() as stack:
-        try:
+        with naming("--http"):
             at = await stack.enter_async_context(opened)
-        except InvalidOption as error:
-            if error.name == "token":
-                raise UsageError(f"--token: {error.problem}") from None
-            raise TurtleactError(f"--http: {error.problem}") from None
         say(f"ready at {at.url}\n")
         if at.token and token is None:
             say(f"clients must send 'Authorization: Bearer {at.token}'\n")

@@ -221,8 +221,13 @@ def _reach(
     no_learn: Annotated[
         bool, flag("--no-learn", text="Ask no node to describe its types.", panel=GRAPH)
     ] = False,
+    _daemon: Annotated[bool, flag("--no-daemon", text="There is none.", hidden=True)] = False,
+    _spin_time: Annotated[str, value("--spin-time", text="As for ros2.", hidden=True)] = "",
 ) -> ConnectOptions:
-    """Return the graph that these options select. Raises the errors of `ConnectOptions.of`."""
+    """Return the graph that these options select. Raises the errors of `ConnectOptions.of`.
+
+    The last two options are for scripts of ``ros2``, which has a daemon.
+    """
     reach = ConnectOptions.of(connect, domain, None if config is None else str(config))
     return reach._replace(learns=not no_learn)
 

@@ -113,11 +113,7 @@ def _chosen(known: Programs, package: str, executable: str) -> Program | None:
     """
     from turtleact.interfaces.definition import did_you_mean
 
-    if package not in known:
-        where = "in the working directory or in its src"
-        hint = did_you_mean(package, known)
-        raise WrongOptions(f"there is no package {quoted(package)} {where}{hint}; {_HELP}")
-    programs = known[package]
+    programs = _programs_of(known, package)
     if executable in programs:
         return programs[executable]
     has = f"it has {', '.join(programs)}" if programs else "it has none in Python"
@@ -125,6 +121,16 @@ def _chosen(known: Programs, package: str, executable: str) -> Program | None:
         raise WrongOptions(f"say which executable of package {quoted(package)} to run: {has}")
     hint = did_you_mean(executable, programs) or f": {has}"
     raise WrongOptions(f"package {quoted(package)} has no executable {quoted(executable)}{hint}")
+
+
+def _programs_of(known: Programs, package: str) -> dict[str, Program | None]:
+    from turtleact.interfaces.definition import did_you_mean
+
+    if package not in known:
+        where = "in the working directory or in its src"
+        hint = did_you_mean(package, known)
+        raise WrongOptions(f"there is no package {quoted(package)} {where}{hint}; {_HELP}")
+    return known[package]
 
 
 def _file(name: str) -> Program:
@@ -245,13 +251,9 @@ def executables(
     ] = None,
 ) -> None:
     """List the executables of one package or of all packages."""
-    from turtleact.interfaces.definition import did_you_mean
-
     known = runnable_here()
-    if package is not None and package not in known:
-        raise TurtleactError(f"unknown package '{package}'{did_you_mean(package, known)}")
     names = sorted(known) if package is None else [package]
-    say_names("".join(f"{name} {each}\n" for name in names for each in known[name]))
+    say_names("".join(f"{name} {each}\n" for name in names for each in _programs_of(known, name)))
 
 
 def _check_package(name: str) -> None:

@@ -24,8 +24,9 @@ from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.screen import can_move
+from turtleact.commands.settings import naming
 from turtleact.commands.user_modules import Found, Modules
-from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
+from turtleact.errors import ActionConflict, TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.types import REGISTRY
@@ -382,11 +383,9 @@ class Server:
 
             metrics = GoalMetrics()
             self._watchers.append(metrics.watch)
-            try:
-                opening = open_metrics(metrics.text, *self._service.metrics)
+            opening = open_metrics(metrics.text, *self._service.metrics)
+            with naming("--metrics"):
                 url = await stack.enter_async_context(opening)
-            except InvalidOption as error:
-                raise TurtleactError(f"--metrics: {error.problem}") from None
             lag = Background(metrics.watch_loop(), "measuring the event loop")
             await stack.enter_async_context(aclosing(lag))
             self._log.say(f"metrics at {url}")
@@ -473,13 +472,8 @@ async def _open_web(stack: AsyncExitStack, page: Page, node: Node) -> str:
 
     host, port, token, hosts, origins = page
     opening = open_web(node, host, port, token=token, hosts=hosts, origins=origins)
-    try:
-        web = await stack.enter_async_context(opening)
-    except InvalidOption as error:
-        if error.name == "token":
-            raise UsageError(f"--token: {error.problem}") from None
-        raise TurtleactError(f"--web: {error.problem}") from None
-    return web.url
+    with naming("--web"):
+        return (await stack.enter_async_context(opening)).url
 
 
 async def _export(stack: AsyncExitStack) -> Callable[[Node], None]:

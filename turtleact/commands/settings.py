@@ -7,10 +7,12 @@ only modules that load quickly, because every verb imports this module first.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from turtleact.commands.output import printable
-from turtleact.errors import UsageError
+from turtleact.errors import InvalidOption, TurtleactError, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.access_config import AccessConfig
@@ -33,6 +35,7 @@ __all__ = [
     "Service",
     "WrongOptions",
     "endpoints",
+    "naming",
     "quoted",
 ]
 
@@ -252,6 +255,17 @@ class Policies(NamedTuple):
             durability=self.durability or durability,
             reliability=self.reliability or "reliable",
         )
+
+
+@contextmanager
+def naming(option: str) -> Iterator[None]:
+    """Let the error of a server that cannot be opened name the option to correct."""
+    try:
+        yield
+    except InvalidOption as error:
+        if error.name == "token":
+            raise UsageError(f"--token: {error.problem}") from None
+        raise TurtleactError(f"{option}: {error.problem}") from None
 
 
 def endpoints(option: str, text: str | None) -> tuple[str, ...]:
