@@ -83,8 +83,8 @@ def by_turtleact(path: Path, data: bytes) -> None:
         offers=(Offer(),),
         type_hash=type_hash(FEEDBACK),
     )
-    writer = WriterThread(BagWriter(path, Split()), lambda: None, is_patient=True)
-    writer.start()
+    writer = WriterThread(BagWriter(path, Split()), is_patient=True)
+    writer.start(lambda: None)
     number = writer.add(channel, None, is_there=True)
     for stamp in range(MESSAGES):
         writer.put(number, stamp, data)

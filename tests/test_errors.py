@@ -79,7 +79,10 @@ SAID = [
 KINDS = [
     each
     for each in vars(errors).values()
-    if isinstance(each, type) and issubclass(each, Exception) and each.__module__ == errors.__name__
+    if isinstance(each, type)
+    and issubclass(each, Exception)
+    and each.__module__ == errors.__name__
+    and not each.__name__.startswith("_")
 ]
 
 

@@ -191,7 +191,21 @@ class InvalidGoal(InvalidMessage):
     """A value in a goal does not fit the type of its field. Nothing was sent."""
 
 
-class InvalidBody(TurtleactError):
+class _NamedError(TurtleactError):
+    """Something with a name is wrong; ``text`` of a subclass says what that is."""
+
+    text = "{name}: {problem}"
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(name, problem)
+        self.name = name
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return self.text.format(name=self.name, problem=self.problem)
+
+
+class InvalidBody(_NamedError):
     """A function cannot be the body of an action.
 
     Attributes:
@@ -199,16 +213,10 @@ class InvalidBody(TurtleactError):
         problem: What was expected and what was found.
     """
 
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__(name, problem)
-        self.name = name
-        self.problem = problem
-
-    def __str__(self) -> str:
-        return f"the body of action '{self.name}' {self.problem}"
+    text = "the body of action '{name}' {problem}"
 
 
-class InvalidOption(TurtleactError):
+class InvalidOption(_NamedError):
     """An option has a value that is not allowed.
 
     Attributes:
@@ -216,16 +224,10 @@ class InvalidOption(TurtleactError):
         problem: What was expected and what was found.
     """
 
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__(name, problem)
-        self.name = name
-        self.problem = problem
-
-    def __str__(self) -> str:
-        return f"option '{self.name}': {self.problem}"
+    text = "option '{name}': {problem}"
 
 
-class InvalidParameter(TurtleactError):
+class InvalidParameter(_NamedError):
     """A parameter is not declared, is declared twice, or cannot have the given value.
 
     Attributes:
@@ -233,13 +235,7 @@ class InvalidParameter(TurtleactError):
         problem: What was expected and what was found.
     """
 
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__(name, problem)
-        self.name = name
-        self.problem = problem
-
-    def __str__(self) -> str:
-        return f"parameter '{self.name}': {self.problem}"
+    text = "parameter '{name}': {problem}"
 
 
 class InvalidTransition(TurtleactError):

@@ -33,7 +33,7 @@ from turtleact.recording.metadata import (
 from turtleact.recording.schemas import Schema, class_of
 from turtleact.recording.storage import BagStorage, Channel, McapFile, Range, Raw, SqliteFile
 
-__all__ = ["Bag", "Reading", "Recorded", "read", "reader_of"]
+__all__ = ["Bag", "Recorded", "messages_in", "read", "reader_of"]
 
 logger = logging.getLogger("turtleact.recording")
 
@@ -167,43 +167,36 @@ class Bag:
         )
 
 
-class Reading:
-    """Reads the messages of a bag in a thread, and decodes them in the event loop.
+async def messages_in(
+    bag: Bag, wanted: Range, *, is_decoded: bool = True
+) -> AsyncGenerator[Recorded]:
+    """Read the messages of a bag in a thread, and decode them in the event loop.
+
+    Virtual time stands still while the thread reads. Cancelling: safe.
 
     Args:
         bag: The bag.
         wanted: Which messages to read.
         is_decoded: Whether to decode the messages.
     """
+    import anyio.to_thread  # slow to import, and not needed to look at a bag
 
-    def __init__(self, bag: Bag, wanted: Range, *, is_decoded: bool = True) -> None:
-        self.bag = bag
-        self._messages = bag.messages(wanted)
-        self._is_decoded = is_decoded
-        self._classes: dict[Channel, Callable[[bytes], Message | None]] = {}
+    from turtleact.tasks import thread_work  # as above
 
-    async def batches(self) -> AsyncGenerator[list[Recorded]]:
-        """Yield the messages in batches. Cancelling: safe."""
-        import anyio.to_thread  # slow to import, and not needed to look at a bag
-
-        while True:
-            batch = await anyio.to_thread.run_sync(self._read)
-            if not batch:
-                return
-            yield [self._recorded(raw) for raw in batch]
-
-    def _read(self) -> list[Raw]:
-        return list(islice(self._messages, BATCH))
-
-    def _recorded(self, raw: Raw) -> Recorded:
-        channel = raw.channel
-        value = None
-        if self._is_decoded:
-            read = self._classes.get(channel)
-            if read is None:
-                read = self._classes[channel] = reader_of(channel)
-            value = read(raw.data)
-        return Recorded(channel.topic, raw.stamp, channel.schema, raw.data, value)
+    found = bag.messages(wanted)
+    readers: dict[Channel, Callable[[bytes], Message | None]] = {}
+    while True:
+        with thread_work().counted():
+            batch = await anyio.to_thread.run_sync(list, islice(found, BATCH))
+        if not batch:
+            return
+        for raw in batch:
+            channel, value = raw.channel, None
+            if is_decoded:
+                if channel not in readers:
+                    readers[channel] = reader_of(channel)
+                value = readers[channel](raw.data)
+            yield Recorded(channel.topic, raw.stamp, channel.schema, raw.data, value)
 
 
 def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:
@@ -250,10 +243,9 @@ async def read(
 
     wants = None if topics is None else frozenset(topics).__contains__
     bag = await anyio.to_thread.run_sync(Bag, path)
-    async with aclosing(Reading(bag, Range(start, end, wants)).batches()) as batches:
-        async for batch in batches:
-            for message in batch:
-                yield message
+    async with aclosing(messages_in(bag, Range(start, end, wants))) as messages:
+        async for message in messages:
+            yield message
 
 
 def _open(path: Path) -> BagStorage:

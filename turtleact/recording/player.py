@@ -9,7 +9,7 @@ a server may still hold the recorded goals and would then reject their ids.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Collection, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from contextlib import aclosing
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias, TypedDict, Unpack
@@ -25,13 +25,13 @@ from turtleact.interfaces import WireFormat, get_action, stamp_of, type_hash
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.names import resolve_name
 from turtleact.node import Node, check_open
-from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
+from turtleact.recording.bag import Bag, Recorded, messages_in, reader_of
 from turtleact.recording.metadata import Offer
 from turtleact.recording.recorded_goals import RecordedGoal, goals_in
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range, in_nanoseconds
-from turtleact.tasks import Background, current_tasks, thread_work
+from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 from turtleact.transports.graph import SEND_GOAL
 
@@ -184,8 +184,7 @@ class _Player:
         """Open the publishers and clients that the bag needs, and look for its goals."""
         if self._sends_goals:
             self._goals = _GoalSender(self._node, self._remap, self.played)
-            with thread_work().counted():
-                found = await goals_in(self._bag, self._selection)
+            found = await goals_in(self._bag, self._selection)
             self._resent = [each for each in found if self._is_resent(each)]
         if self._frequency:
             endpoint = self._endpoint(
@@ -259,11 +258,9 @@ class _Player:
 
     async def _play_all(self, wait_until: WaitUntil) -> None:
         count = 0
-        reading = Reading(
-            self._bag, Range(self._start, self._end, self._outlets.__contains__), is_decoded=False
-        )
-        async with aclosing(reading.batches()) as read, aclosing(_still(read)) as batches:
-            async for message in batches:
+        wanted = Range(self._start, self._end, self._outlets.__contains__)
+        async with aclosing(messages_in(self._bag, wanted, is_decoded=False)) as messages:
+            async for message in messages:
                 count += 1
                 self._reached = message.stamp
                 await wait_until(message.stamp)
@@ -410,17 +407,6 @@ class _GoalSender:
 async def _cancel(handle: ClientGoalHandle[Any, Any], stamp: int, wait_until: WaitUntil) -> None:
     await wait_until(stamp)
     handle.cancel_nowait()
-
-
-async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[Recorded]:
-    """Yield the messages, and stop virtual time while a thread reads the next batch."""
-    while True:
-        with thread_work().counted():
-            batch = await anext(batches, None)
-        if batch is None:
-            return
-        for message in batch:
-            yield message
 
 
 def _times(options: PlayOptions) -> tuple[int, int | None]:

@@ -17,7 +17,7 @@ import msgspec
 
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import nanoseconds
-from turtleact.recording.bag import Bag, Reading, Recorded
+from turtleact.recording.bag import Bag, Recorded, messages_in
 from turtleact.recording.selection import REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Range
 
@@ -118,11 +118,10 @@ async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> 
 async def goals_in(bag: Bag, wanted: Selection) -> list[RecordedGoal]:
     """Return the goals of the wanted actions in an open bag; see `goals`."""
     found = Gathering(bag.info.start)
-    reading = Reading(bag, Range(wants=lambda topic: wanted.wants(topic, "")))
-    async with aclosing(reading.batches()) as batches:
-        async for batch in batches:
-            for message in batch:
-                found.take(message)
+    messages = messages_in(bag, Range(wants=lambda topic: wanted.wants(topic, "")))
+    async with aclosing(messages):
+        async for message in messages:
+            found.take(message)
     return found.goals
 
 

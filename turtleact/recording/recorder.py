@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypedDict, Unpack
 
@@ -339,16 +338,13 @@ async def record(
     tasks = current_tasks()
     # Not in a thread: virtual time would go on meanwhile.
     writer = BagWriter(Path(path), split)
-    ended: list[Recording] = []
     thread = WriterThread(
         writer,
-        lambda: tasks.from_anywhere(partial(_end_all, ended)),
         capacity=options.get("capacity", CAPACITY),
         is_patient=not isinstance(node.clock, WallClock),
     )
     recording = Recording(node, Path(path), selection, thread, options.get("qos", {}))
-    ended.append(recording)
-    thread.start()
+    thread.start(lambda: tasks.from_anywhere(recording._end))
     try:
         await recording._look()
         watch = Background(recording._watch(), f"recording {path}")
@@ -366,11 +362,6 @@ async def record(
             await anyio.to_thread.run_sync(thread.close)
     if recording.error is not None:
         raise recording.error
-
-
-def _end_all(recordings: list[Recording]) -> None:
-    for each in recordings:
-        each._end()
 
 
 def _selection(node: Node, options: RecordOptions) -> Selection:

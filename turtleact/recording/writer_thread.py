@@ -54,8 +54,6 @@ class WriterThread:
 
     Args:
         writer: Writes the bag. The thread closes the writer when writing ends.
-        on_end: Called in the writing thread when the bag has been closed. The bag is closed after
-            `close`, or earlier if writing fails, for example because the disk is full.
         capacity: How many bytes may wait to be written.
         is_patient: Whether `put` waits until there is room, instead of dropping the message.
 
@@ -66,14 +64,12 @@ class WriterThread:
     def __init__(
         self,
         writer: BagWriter,
-        on_end: Callable[[], object],
         *,
         capacity: int = CAPACITY,
         is_patient: bool = False,
     ) -> None:
         self.error: Exception | None = None
         self._writer = writer
-        self._on_end = on_end
         self._capacity = capacity
         self._is_patient = is_patient
         self._channels: list[Channel] = []
@@ -91,8 +87,14 @@ class WriterThread:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name=f"bag {writer.path}", daemon=True)
 
-    def start(self) -> None:
-        """Start the writing thread."""
+    def start(self, on_end: Callable[[], object]) -> None:
+        """Start the writing thread.
+
+        Args:
+            on_end: Called in the writing thread when the bag has been closed. The bag is closed
+                after `close`, or earlier if writing fails, for example because the disk is full.
+        """
+        self._on_end = on_end
         self._thread.start()
 
     def add(self, channel: Channel, encode: Encode | None, *, is_there: bool) -> int:

@@ -6,7 +6,7 @@ The program decides where traces and metrics go: it sets up an SDK with exporter
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from anyio import sleep_forever
@@ -56,7 +56,7 @@ def instrument(
         ) from missing
     resources = resources_of(node)
     check_open(node)
-    if resources.find(_Instrumentation) is not None:
+    if resources.find(_Watching) is not None:
         return
     tracing, instruments = Tracing(node, tracer_provider), _Instruments(meter_provider)
     if not tracing.is_off:
@@ -64,28 +64,11 @@ def instrument(
     if not instruments.are_off:
         measure(node, instruments)
     watching = sleep_forever() if instruments.are_off else watch_loop(instruments)
-    resources.add(_Instrumentation(watching), _Nothing())
+    resources.add(_Watching(watching, "measuring the event loop"), ExitStack())
 
 
-class _Instrumentation:
+class _Watching(Background):
     """The task that `instrument` starts for a node. Closing the node ends the task."""
-
-    def __init__(self, watching: Coroutine[object, object, None]) -> None:
-        self._watching = Background(watching, "measuring the event loop")
-
-    async def aclose(self) -> None:
-        """Stop measuring the event loop."""
-        await self._watching.aclose()
-
-
-class _Nothing:
-    """A placeholder for the transport object that an `_Instrumentation` does not have.
-
-    A node closes each of its objects together with an object of the transport.
-    """
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class _Instruments:
