@@ -252,6 +252,32 @@ class Gate:
             self.log.append("over")
         yield Count.Result(counted=[goal.upto])
 
+    async def tidy(self, goal: Count.Goal) -> Count.Result:
+        """A coroutine body that ends when it is canceled, once its clean-up may continue."""
+        self.log.append("begun")
+        self.started.set()
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await self.opened.wait()
+            self.log.append("cleaned up")
+        raise AssertionError
+
+
+def once_canceled(end: object) -> Callable[..., Any]:
+    """A coroutine body that waits to be canceled, and then returns or raises this."""
+
+    async def wait(request: object = None) -> object:
+        try:
+            await anyio.sleep_forever()
+        except anyio.get_cancelled_exc_class():
+            if isinstance(end, BaseException):
+                raise end from None
+        return end
+
+    return wait
+
 
 class HandClock(VirtualClock):
     """A clock that a test sets by hand."""

@@ -36,6 +36,7 @@ from ..lab import (
     goal,
     hand_lab,
     lab,
+    once_canceled,
     other_tasks,
     result,
     running,
@@ -111,31 +112,17 @@ async def test_goals_can_be_gathered():
         assert await asyncio.gather(*goals) == [result(), result(0), result(0, 1)]
 
 
-async def test_canceling_who_awaits_a_goal_lets_its_body_report_a_result():
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            raise Cancel(result(5))
-
-    async with lab(body) as served, running(lambda: served.client.send_goal(goal())) as sent:
-        (held,) = served.active
-        sent.scope.cancel()
-        await sent.done.wait()
-        assert (held.status, held.result) == (GoalStatus.CANCELED, result(5))
-
-
-async def test_who_awaits_a_goal_stays_canceled_even_if_the_goal_succeeds():
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            return result(7)
-
-    async with lab(body) as served:
+@pytest.mark.parametrize(
+    ("end", "status"),
+    [(Cancel(result(5)), GoalStatus.CANCELED), (result(5), GoalStatus.SUCCEEDED)],
+)
+async def test_who_awaits_a_goal_stays_canceled_however_its_body_ends(end, status):
+    async with lab(once_canceled(end)) as served:
         async with running(lambda: served.client.send_goal(goal())) as sent:
+            (held,) = served.active
             sent.scope.cancel()
         assert (sent.scope.cancelled_caught, sent.value) == (True, None)
+        assert (held.status, held.result) == (status, result(5))
 
 
 @pytest.mark.parametrize("ends", ["succeeded", "canceled"])
@@ -482,23 +469,33 @@ ASKING = pytest.mark.parametrize("asks", [False, True], ids=["plain", "asking"])
 BUSY = pytest.mark.parametrize("style", ["body", "stream"])
 
 
-async def cancel_everywhere(call, style, *, asks, native) -> int:
-    """Cancel a call at each point from its beginning on; answer at how many points it was on."""
+async def cancel_at_each_point(call, client, is_over: Callable[[], bool], *, native: bool) -> None:
+    """Cancel a call at each point from its beginning on: all is over then, and as before."""
+    before = other_tasks() if on_asyncio() else set()
+    for turns in range(100 * TURNS):
+        was_on = await cancel_after(turns, call, native)
+        if native:  # a second scope may be left at once: what was shielded goes on
+            await settle()
+        assert is_over(), f"after {turns} turns"
+        await settle()
+        assert not on_asyncio() or other_tasks() == before, f"after {turns} turns"
+        assert await client.send_goal(goal()) == result(1), f"after {turns} turns"
+        if not was_on:
+            assert turns > 3
+            return
+    pytest.fail("the call never came to its end")
+
+
+async def cancel_everywhere(call, style, *, asks, native) -> None:
     busy = Busy()
     callbacks: dict[str, Any] = {"goal_callback": busy.accept, "cancel_callback": busy.let_go}
     async with lab(getattr(busy, style), **callbacks if asks else {}) as served:
-        before = other_tasks() if on_asyncio() else set()
-        for turns in range(100 * TURNS):
-            was_on = await cancel_after(turns, lambda: call(served.client), native)
-            if native:  # a second scope may be left at once: what was shielded goes on
-                await settle()
-            assert (served.active, busy.active) == ([], 0), f"after {turns} turns"
-            await settle()
-            assert not on_asyncio() or other_tasks() == before, f"after {turns} turns"
-            assert await served.client.send_goal(goal()) == result(1), f"after {turns} turns"
-            if not was_on:
-                return turns
-        pytest.fail("the call never came to its end")
+        await cancel_at_each_point(
+            lambda: call(served.client),
+            served.client,
+            lambda: (served.active, busy.active) == ([], 0),
+            native=native,
+        )
 
 
 def on_asyncio() -> bool:
@@ -509,7 +506,7 @@ def on_asyncio() -> bool:
 @ASKING
 @BUSY
 async def test_a_call_canceled_by_a_scope_at_any_point_leaves_nothing_behind(call, style, asks):
-    assert await cancel_everywhere(call, style, asks=asks, native=False) > 3
+    await cancel_everywhere(call, style, asks=asks, native=False)
 
 
 @ON_ASYNCIO
@@ -517,7 +514,7 @@ async def test_a_call_canceled_by_a_scope_at_any_point_leaves_nothing_behind(cal
 @ASKING
 @BUSY
 async def test_a_call_canceled_as_a_task_at_any_point_leaves_nothing_behind(call, style, asks):
-    assert await cancel_everywhere(call, style, asks=asks, native=True) > 3
+    await cancel_everywhere(call, style, asks=asks, native=True)
 
 
 @CALLS

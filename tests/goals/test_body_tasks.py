@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from typing import Any, TypeAlias
 
 import anyio
@@ -23,26 +23,20 @@ from turtleact.testing import virtual_backend
 
 from ..conftest import INSTALLED, LOOPS
 from ..lab import (
-    ON_ASYNCIO,
     ON_EVERY_LOOP,
     Count,
     Running,
-    feedback,
     goal,
     result,
     running,
     settle,
 )
 from .test_cancelling import (
+    Cleaning,
     address,
-    by_a_scope,
-    by_a_task_group,
-    by_a_task_group_of_asyncio,
-    by_a_timeout_of_asyncio,
-    by_its_task,
-    by_move_on_after,
     in_process,
     over_zenoh,
+    serving,
 )
 
 pytestmark = ON_EVERY_LOOP
@@ -50,9 +44,6 @@ pytestmark = ON_EVERY_LOOP
 __all__ = ["address"]  # a fixture
 
 Send: TypeAlias = Callable[[], Any]
-
-SHORT = 0.01
-"""How long a clean-up takes (s)."""
 
 IN_TIME = 10.0
 """A limit that is never reached (s)."""
@@ -123,80 +114,10 @@ EVERY_WAY = pytest.mark.parametrize(
 # --- the clean-up of a body that is cancelled -----------------------------------------------
 
 
-class Cleaning:
-    """Bodies that need a moment for their clean-up.
-
-    Attributes:
-        started: Set when the body has begun.
-        log: What it has done.
-    """
-
-    def __init__(self) -> None:
-        self.started = anyio.Event()
-        self.log: list[str] = []
-
-    async def coroutine(self, goal: Count.Goal) -> Count.Result:
-        """A body that is cancelled at an await."""
-        self.started.set()
-        try:
-            await anyio.sleep_forever()
-        finally:
-            await self._clean_up()
-        return result()
-
-    async def generator(self, goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
-        """A body that is cancelled at a yield."""
-        self.started.set()
-        try:
-            while True:
-                yield feedback()
-        finally:
-            await self._clean_up()
-
-    async def _clean_up(self) -> None:
-        # On asyncio a cancellation arrives once, so the clean-up may simply wait. On trio it
-        # arrives at each await that is not shielded.
-        on_trio = not current_tasks().can_let_go
-        with anyio.CancelScope(shield=on_trio):
-            await anyio.sleep(SHORT)
-            self.log.append("cleaned")
-
-
 BODIES = pytest.mark.parametrize(
     ("where", "style"),
     [(in_process, "coroutine"), (in_process, "generator"), (over_zenoh, "coroutine")],
 )
-
-
-async def check_the_clean_up(where: Any, address: str, style: str, wait: Any, cancel: Any) -> None:
-    cleaning = Cleaning()
-    async with where(address) as place:
-        place.far.action_server(Count, "count", getattr(cleaning, style))
-        client = place.near.action_client(Count, "count")
-        assert await client.wait_for_server(IN_TIME)
-        await cancel(lambda: wait(lambda: client.send_goal(goal())), cleaning.started.wait)
-        assert cleaning.log == ["cleaned"]
-
-
-@BODIES
-@pytest.mark.parametrize("wait", [awaited, entered])
-@pytest.mark.parametrize("cancel", [by_a_scope, by_move_on_after, by_a_task_group])
-async def test_a_body_whose_client_is_cancelled_ends_its_clean_up(
-    where, address, style, wait, cancel
-):
-    await check_the_clean_up(where, address, style, wait, cancel)
-
-
-@ON_ASYNCIO
-@BODIES
-@pytest.mark.parametrize("wait", [awaited, entered])
-@pytest.mark.parametrize(
-    "cancel", [by_its_task, by_a_timeout_of_asyncio, by_a_task_group_of_asyncio]
-)
-async def test_a_body_whose_client_is_cancelled_by_asyncio_ends_its_clean_up(
-    where, address, style, wait, cancel
-):
-    await check_the_clean_up(where, address, style, wait, cancel)
 
 
 @EVERY_WAY
@@ -205,10 +126,7 @@ async def test_a_body_whose_goal_is_canceled_by_others_ends_its_clean_up(
     where, address, style, wait
 ):
     cleaning = Cleaning()
-    async with where(address) as place:
-        place.far.action_server(Count, "count", getattr(cleaning, style))
-        client = place.near.action_client(Count, "count")
-        assert await client.wait_for_server(IN_TIME)
+    async with serving(where, address, getattr(cleaning, style)) as client:
         async with running(lambda: wait(lambda: client.send_goal(goal()))) as call:
             await cleaning.started.wait()
             await client.cancel_all()
@@ -268,10 +186,7 @@ async def test_a_body_that_handles_the_failure_of_a_child_succeeds(
             handled.append(1)
         return result(*handled)
 
-    async with where(address) as place:
-        place.far.action_server(Count, "count", body)
-        client = place.near.action_client(Count, "count")
-        assert await client.wait_for_server(IN_TIME)
+    async with serving(where, address, body) as client:
         assert await wait(lambda: client.send_goal(goal())) == result(1)
 
 
@@ -284,10 +199,7 @@ async def test_a_body_that_does_not_handle_the_failure_of_a_child_is_aborted(
         await fail_in_group(linger)
         return result()
 
-    async with where(address) as place:
-        place.far.action_server(Count, "count", body)
-        client = place.near.action_client(Count, "count")
-        assert await client.wait_for_server(IN_TIME)
+    async with serving(where, address, body) as client:
         with pytest.raises(GoalAborted, match="a child failed"):
             await wait(lambda: client.send_goal(goal()))
 

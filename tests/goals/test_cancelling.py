@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple, TypeAlias
@@ -14,6 +15,7 @@ import pytest
 import turtleact
 from turtleact import CancelResponse, GoalStatus
 from turtleact.errors import InvalidOption
+from turtleact.tasks import current_tasks
 from turtleact.transports import open_zenoh
 
 from ..lab import (
@@ -23,6 +25,7 @@ from ..lab import (
     Gate,
     Running,
     far_and_near,
+    feedback,
     goal,
     lab,
     result,
@@ -80,6 +83,18 @@ async def over_zenoh(address: str) -> AsyncIterator[Place]:
         turtleact.open_node("near", transport=here) as near,
     ):
         yield Place(far, near, there.aclose)
+
+
+@asynccontextmanager
+async def serving(
+    where: Any, address: str, body: Any, **options: Any
+) -> AsyncIterator[turtleact.ActionClient[Any, Any, Any]]:
+    """A client that knows the server of a body."""
+    async with where(address) as place:
+        place.far.action_server(Count, "count", body)
+        client = place.near.action_client(Count, "count", **options)
+        assert await client.wait_for_server(10)
+        yield client
 
 
 @pytest.fixture
@@ -215,6 +230,45 @@ ASYNCIOS_WAYS = pytest.mark.parametrize(
 # --- what the server does -----------------------------------------------------------------------
 
 
+class Cleaning:
+    """Bodies that need a moment for their clean-up.
+
+    Attributes:
+        started: Set when the body has begun.
+        log: What it has done.
+    """
+
+    def __init__(self) -> None:
+        self.started = anyio.Event()
+        self.log: list[str] = []
+
+    async def coroutine(self, goal: Count.Goal) -> Count.Result:
+        """A body that is cancelled at an await."""
+        self.started.set()
+        try:
+            await anyio.sleep_forever()
+        finally:
+            await self._clean_up()
+        return result()
+
+    async def generator(self, goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        """A body that is cancelled at a yield."""
+        self.started.set()
+        try:
+            while True:
+                yield feedback()
+        finally:
+            await self._clean_up()
+
+    async def _clean_up(self) -> None:
+        # On asyncio a cancellation arrives once, so the clean-up may simply wait. On trio it
+        # arrives at each await that is not shielded.
+        on_trio = not current_tasks().can_let_go
+        with anyio.CancelScope(shield=on_trio):
+            await anyio.sleep(SHORT)
+            self.log.append("cleaned")
+
+
 class Asked:
     """A ``cancel_callback`` that never answers."""
 
@@ -227,11 +281,22 @@ class Asked:
         raise AssertionError
 
 
+BEHAVIOURS = pytest.mark.parametrize(
+    ("where", "behaves"),
+    [
+        *itertools.product([in_process, by_messages, over_zenoh], ["well", "never answers"]),
+        (in_process, "well at a yield"),
+    ],
+)
+
+
 async def check(where, address, wait, cancel, *, behaves: str) -> None:
-    gate, asked = Gate(), Asked()
-    options: dict[str, Any] = {} if behaves == "well" else {"cancel_callback": asked.ask}
+    gate, asked, cleaning = Gate(), Asked(), Cleaning()
+    well = {"well": cleaning.coroutine, "well at a yield": cleaning.generator}
+    body, started = well.get(behaves), cleaning.started if behaves in well else gate.started
+    options: dict[str, Any] = {} if body else {"cancel_callback": asked.ask}
     async with where(address) as place, anyio.create_task_group() as group:
-        place.far.action_server(Count, "count", gate.stream, **options)
+        place.far.action_server(Count, "count", body or gate.stream, **options)
         patience = 5.0 if behaves == "dies" else SHORT if options else 10.0
         client = place.near.action_client(Count, "count", cancel_timeout=patience)
         assert await client.wait_for_server(10)
@@ -242,16 +307,15 @@ async def check(where, address, wait, cancel, *, behaves: str) -> None:
                 await place.kill()
 
             group.start_soon(kill)
-        await cancel(lambda: wait(client), gate.started.wait)
-        if behaves == "well":
-            assert gate.log == ["begun", "canceled", "over"]
+        await cancel(lambda: wait(client), started.wait)
+        if body:
+            assert cleaning.log == ["cleaned"]
         gate.opened.set()
 
 
-@EVERYWHERE
+@BEHAVIOURS
 @WAYS
 @ANY_WAY
-@pytest.mark.parametrize("behaves", ["well", "never answers"])
 async def test_a_cancelled_client_ends_cancelled(where, address, wait, cancel, behaves):
     await check(where, address, wait, cancel, behaves=behaves)
 
@@ -266,10 +330,9 @@ async def test_a_cancelled_client_ends_cancelled_though_its_server_dies(
 
 
 @ON_ASYNCIO
-@EVERYWHERE
+@BEHAVIOURS
 @pytest.mark.parametrize("wait", [await_it, wait_in_the_block, give_it_to_a_task])
 @ASYNCIOS_WAYS
-@pytest.mark.parametrize("behaves", ["well", "never answers"])
 async def test_a_task_that_is_cancelled_ends_cancelled(where, address, wait, cancel, behaves):
     await check(where, address, wait, cancel, behaves=behaves)
 
@@ -323,18 +386,8 @@ async def test_leaving_the_block_waits_no_longer_than_the_cancel_timeout(where, 
 
 
 async def test_a_cancellation_while_the_block_is_left_is_not_lost():
-    gate, opened = Gate(), anyio.Event()
-
-    async def body(request: Count.Goal) -> Count.Result:
-        gate.started.set()
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await opened.wait()
-        return result()
-
-    async with lab(body) as served:
+    gate = Gate()
+    async with lab(gate.tidy) as served:
 
         async def call() -> None:
             async with served.client.send_goal(goal()):
@@ -345,7 +398,7 @@ async def test_a_cancellation_while_the_block_is_left_is_not_lost():
             beside.scope.cancel()
             await settle()
             assert not beside.done.is_set()
-            opened.set()
+            gate.opened.set()
         assert beside.scope.cancelled_caught
 
 

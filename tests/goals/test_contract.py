@@ -388,22 +388,15 @@ async def test_who_asks_a_server_that_is_closing_is_answered():
     async def never(_):
         await anyio.sleep_forever()
 
-    async def tidy(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await opened.wait()
-
-    opened = anyio.Event()
+    gate = Gate()
     async with (
-        lab(tidy, cancel_callback=never) as served,
+        lab(gate.tidy, cancel_callback=never) as served,
         served.client.send_goal(goal()) as handle,
         running(served.server.aclose),
     ):
         answer = await handle.cancel()
         assert answer.goals_canceling == []
-        opened.set()
+        gate.opened.set()
 
 
 class Stubborn:

@@ -33,6 +33,7 @@ from ..lab import (
     feedback,
     goal,
     lab,
+    once_canceled,
     result,
     running,
     settle,
@@ -101,14 +102,7 @@ async def test_a_body_that_gives_its_result_succeeds(body, send):
     assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1, 2))
 
 
-async def succeed_all_the_same():
-    try:
-        await anyio.sleep_forever()
-    except anyio.get_cancelled_exc_class():
-        return result(1, 2)
-
-
-@both_styles(succeed_all_the_same)
+@pytest.mark.parametrize("body", in_both_styles(once_canceled(result(1, 2))))
 async def test_a_body_that_gives_its_result_although_it_was_canceled_succeeds(body, send):
     assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1, 2))
 
@@ -121,17 +115,10 @@ async def give_nothing_at_once():
     pass
 
 
-async def swallow():
-    try:
-        await anyio.sleep_forever()
-    except anyio.get_cancelled_exc_class():
-        pass
-
-
 WITHOUT_RESULT = in_both_styles(give_nothing) + in_both_styles(give_nothing_at_once)
 
 
-@pytest.mark.parametrize("body", [*WITHOUT_RESULT, *in_both_styles(swallow)])
+@pytest.mark.parametrize("body", [*WITHOUT_RESULT, *in_both_styles(once_canceled(None))])
 async def test_a_body_that_ends_without_a_result_is_aborted(body, send):
     assert await canceled_end_of(body, send) == ended_without_result(body)
 
@@ -268,11 +255,7 @@ async def abort():
     raise Abort("the pen is empty")
 
 
-async def abort_when_canceled():
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Abort("the pen is empty", result(7))
+ABORT = Abort("the pen is empty", result(7))
 
 
 @pytest.mark.parametrize(
@@ -280,7 +263,7 @@ async def abort_when_canceled():
     [
         *((each.values[0], result(7)) for each in in_both_styles(abort_with_a_result)),
         *((each.values[0], result()) for each in in_both_styles(abort)),
-        *((each.values[0], result(7)) for each in in_both_styles(abort_when_canceled)),
+        *((each.values[0], result(7)) for each in in_both_styles(once_canceled(ABORT))),
     ],
 )
 async def test_a_body_can_abort_with_a_result(body, partial_result, send, caplog):
@@ -393,19 +376,12 @@ async def wait_after_a_timeout_of_its_own():
     await anyio.sleep_forever()
 
 
-async def canceled_without_a_result():
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Cancel
-
-
 WAYS_OUT = [
     wait,
     wait_in_a_group,
     let_a_group_of_cancellations_out,
     wait_after_a_timeout_of_its_own,
-    canceled_without_a_result,
+    once_canceled(Cancel()),
 ]
 
 
@@ -415,26 +391,12 @@ async def test_a_body_that_lets_a_requested_cancellation_out_is_canceled(body, s
     assert not caplog.records
 
 
-async def canceled_with_a_result():
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Cancel(result(5))
-
-
-@both_styles(canceled_with_a_result)
+@both_styles(once_canceled(Cancel(result(5))))
 async def test_a_canceled_body_can_report_a_result_in_its_clean_up(body, send):
     assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result(5))
 
 
-async def canceled_with_a_wrong_result():
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Cancel(feedback(5))
-
-
-@both_styles(canceled_with_a_wrong_result)
+@both_styles(once_canceled(Cancel(feedback(5))))
 async def test_a_canceled_body_with_a_wrong_result_is_canceled_and_says_so(body, send):
     outcome = await canceled_end_of(body, send)
     assert (outcome.status, outcome.result) == (GoalStatus.CANCELED, result())

@@ -32,6 +32,7 @@ from ..lab import (
     feedback,
     goal,
     lab,
+    once_canceled,
     result,
     running,
     settle,
@@ -104,13 +105,6 @@ async def read(handle, is_late, act=None):
     return reader.value
 
 
-async def succeed_although_it_is_canceled(request):
-    try:
-        await anyio.sleep_forever()
-    except anyio.get_cancelled_exc_class():
-        yield result(7)
-
-
 async def cancel(served, handle):
     await handle.cancel()
 
@@ -131,7 +125,7 @@ async def preempt(served, handle):
         (count, None, ["EXECUTING", 0, 1, 2, "SUCCEEDED"]),
         (fail, None, ["EXECUTING", 1, "ABORTED"]),
         (Cleaning().stream, cancel, ["EXECUTING", 1, "CANCELING", 2, 3, "CANCELED"]),
-        (succeed_although_it_is_canceled, cancel, ["EXECUTING", "CANCELING", "SUCCEEDED"]),
+        (once_canceled(result(7)), cancel, ["EXECUTING", "CANCELING", "SUCCEEDED"]),
         (None, close, ["EXECUTING", 0, "ABORTED"]),
         (None, preempt, ["EXECUTING", 0, "ABORTED"]),
     ],

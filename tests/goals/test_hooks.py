@@ -18,7 +18,19 @@ from turtleact.interfaces import implied
 from turtleact.interfaces.standard import UUID
 from turtleact.transports import MemoryTransport
 
-from ..lab import Count, Gate, count, feedback, goal, lab, result, running, settle, take_turns
+from ..lab import (
+    Count,
+    Gate,
+    count,
+    feedback,
+    goal,
+    lab,
+    once_canceled,
+    result,
+    running,
+    settle,
+    take_turns,
+)
 
 ACCEPT = ("UNKNOWN", "ACCEPTED")
 EXECUTE = ("ACCEPTED", "EXECUTING")
@@ -48,20 +60,13 @@ async def fail(request):
 # --- hooks --------------------------------------------------------------------------------------
 
 
-async def succeed_all_the_same(request):
-    try:
-        await anyio.sleep_forever()
-    except anyio.get_cancelled_exc_class():
-        return result(1)
-
-
 @pytest.mark.parametrize(
     ("body", "changes"),
     [
         (count, [SUCCEED]),
         (fail, [ABORT]),
         (anyio.sleep_forever, [CANCEL, CANCELED]),
-        (succeed_all_the_same, [CANCEL, ("CANCELING", "SUCCEEDED")]),
+        (once_canceled(result(1)), [CANCEL, ("CANCELING", "SUCCEEDED")]),
     ],
 )
 async def test_a_hook_hears_of_each_change_of_a_goal(send, body, changes):

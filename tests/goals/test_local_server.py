@@ -38,6 +38,7 @@ from ..lab import (
     goal,
     hand_lab,
     lab,
+    once_canceled,
     result,
     running,
     settle,
@@ -326,16 +327,8 @@ async def test_if_none_of_several_is_let_go_the_request_is_rejected():
 
 async def test_a_goal_that_is_canceling_already_is_listed_again_and_not_asked_for(where):
     asked, gate = Asked(3), Gate()
-
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-
     async with (
-        where(body, cancel_callback=asked) as served,
+        where(gate.tidy, cancel_callback=asked) as served,
         served.client.send_goal(goal(3)) as handle,
     ):
         await settle()
@@ -414,52 +407,15 @@ async def test_a_server_that_is_closed_within_a_canceled_scope_waits_too():
 
 @pytest.mark.parametrize("was_canceled", [False, True])
 async def test_closing_a_server_twice_lets_a_body_finish_its_clean_up(was_canceled):
-    gate, log = Gate(), []
-
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-            log.append("cleaned up")
-
-    async with lab(body) as served, served.client.send_goal(goal()) as handle:
+    gate = Gate()
+    async with lab(gate.tidy) as served, served.client.send_goal(goal()) as handle:
         await settle()
         if was_canceled:
             await handle.cancel()
         async with running(served.server.aclose), running(served.server.aclose):
             gate.opened.set()
         ends = GoalStatus.CANCELED if was_canceled else GoalStatus.ABORTED
-        assert ((await handle.outcome()).status, log) == (ends, ["cleaned up"])
-
-
-async def succeed_all_the_same(request):
-    try:
-        await anyio.sleep_forever()
-    except anyio.get_cancelled_exc_class():
-        return result(7)
-
-
-async def abort_in_its_own_words(request):
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Abort("the pen is up", result(7))
-
-
-async def tell_what_was_reached(request):
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Cancel(result(7))
-
-
-async def fail_in_the_clean_up(request):
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise ValueError("no pen")
+        assert ((await handle.outcome()).status, gate.log[1:]) == (ends, ["cleaned up"])
 
 
 async def set_a_partial_result(request, handle):
@@ -470,10 +426,16 @@ async def set_a_partial_result(request, handle):
 @pytest.mark.parametrize(
     ("body", "outcome"),
     [
-        (succeed_all_the_same, Outcome(GoalStatus.SUCCEEDED, result(7))),
-        (abort_in_its_own_words, Outcome(GoalStatus.ABORTED, result(7), "the pen is up")),
-        (tell_what_was_reached, Outcome(GoalStatus.ABORTED, result(7), "shutdown")),
-        (fail_in_the_clean_up, Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")),
+        (once_canceled(result(7)), Outcome(GoalStatus.SUCCEEDED, result(7))),
+        (
+            once_canceled(Abort("up", result(7))),
+            Outcome(GoalStatus.ABORTED, result(7), "up"),
+        ),
+        (once_canceled(Cancel(result(7))), Outcome(GoalStatus.ABORTED, result(7), "shutdown")),
+        (
+            once_canceled(ValueError("no")),
+            Outcome(GoalStatus.ABORTED, result(), "ValueError: no"),
+        ),
         (set_a_partial_result, Outcome(GoalStatus.ABORTED, result(7), "shutdown")),
     ],
 )

@@ -34,12 +34,11 @@ from ..lab import (
     goal,
     lab,
     local_server,
-    other_tasks,
     result,
     running,
     settle,
 )
-from .test_action_client import Busy, cancel_after, on_asyncio, take
+from .test_action_client import Busy, cancel_at_each_point, take
 from .test_policies import (
     CANCELED,
     ID,
@@ -819,50 +818,36 @@ async def test_a_family_canceled_as_a_task_at_any_point_leaves_nothing(nest, opt
 
 async def cancel_everywhere(house: Household, options, slot, *, native: bool) -> None:
     async with home(house.parent, house.child, options, slot) as (outer, inner):
-        before = other_tasks() if on_asyncio() else set()
-        for turns in range(500):
-            was_on = await cancel_after(turns, lambda: visit(outer, inner), native)
-            if native:
-                await settle()
-            assert house.is_over(outer, inner), f"after {turns} turns"
+        await cancel_at_each_point(
+            lambda: visit(outer, inner),
+            outer.client,
+            lambda: house.is_over(outer, inner),
+            native=native,
+        )
+
+
+async def end_everywhere(nest, options, slot, end) -> None:
+    """Have a family ended by others at each point."""
+    for turns in range(40):
+        house = Household(nest, "body")
+        async with home(house.parent, house.child, options, slot) as places:
+            visitors: Running[None] = Running(partial(visit, *places))
+            async with anyio.create_task_group() as group:
+                group.start_soon(visitors.run)
+                await take(turns)
+                was_over = visitors.done.is_set()
+                await end(places)
             await settle()
-            assert not on_asyncio() or other_tasks() == before, f"after {turns} turns"
-            assert await outer.client.send_goal(goal()) == result(1), f"after {turns} turns"
-            if not was_on:
-                assert turns > 3
-                return
-        pytest.fail("the call never came to its end")
+            assert house.is_over(*places), f"after {turns} turns"
+        if was_over:
+            return
 
 
 @families("which", parent=0, child=1)
 async def test_goals_canceled_by_id_at_any_point_leave_nothing(nest, options, slot, which):
-    for turns in range(40):
-        house = Household(nest, "body")
-        async with home(house.parent, house.child, options, slot) as (outer, inner):
-            visitors: Running[None] = Running(partial(visit, outer, inner))
-            async with anyio.create_task_group() as group:
-                group.start_soon(visitors.run)
-                await take(turns)
-                was_over = visitors.done.is_set()
-                await (outer if which == "parent" else inner).client.cancel_all()
-            await settle()
-            assert house.is_over(outer, inner), f"after {turns} turns"
-        if was_over:
-            return
+    await end_everywhere(nest, options, slot, lambda at: getattr(at, which).client.cancel_all())
 
 
 @families("which", parent=2, child=3)
 async def test_a_server_closed_at_any_point_answers_a_family(nest, options, slot, which):
-    for turns in range(40):
-        house = Household(nest, "body")
-        async with home(house.parent, house.child, options, slot) as (outer, inner):
-            visitors: Running[None] = Running(partial(visit, outer, inner))
-            async with anyio.create_task_group() as group:
-                group.start_soon(visitors.run)
-                await take(turns)
-                was_over = visitors.done.is_set()
-                await (outer if which == "parent" else inner).server.aclose()
-            await settle()
-            assert house.is_over(outer, inner), f"after {turns} turns"
-        if was_over:
-            return
+    await end_everywhere(nest, options, slot, lambda at: getattr(at, which).server.aclose())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import aclosing
+from contextlib import aclosing, asynccontextmanager
 from typing import Any
 
 import anyio
@@ -267,6 +267,17 @@ async def test_a_goal_that_began_paused_and_is_canceled_never_runs_its_body():
     assert gate.log == ["begun", "over"]
 
 
+@asynccontextmanager
+async def family(parent: Any, options: Any = None, **children: Any) -> AsyncIterator[Any]:
+    """The handle of a goal whose body sends goals to other actions of its node."""
+    async with lab(parent, **options or {}) as served:
+        for name, body in children.items():
+            served.node.action_server(Count, name, body)
+        async with served.client.send_goal(goal()) as handle:
+            await take_turns()
+            yield handle
+
+
 async def test_a_parent_pauses_and_resumes_its_children():
     walker = Walker()
 
@@ -274,14 +285,11 @@ async def test_a_parent_pauses_and_resumes_its_children():
         client = handle.node.action_client(Count, "child")
         yield await client.send_goal(goal(MANY))
 
-    async with lab(parent) as served:
-        served.node.action_server(Count, "child", walker.generator)
-        async with served.client.send_goal(goal()) as handle:
-            await take_turns()
-            await handle.pause()
-            assert await walker.stands_still()
-            await handle.resume()
-            assert not await walker.stands_still()
+    async with family(parent, child=walker.generator) as handle:
+        await handle.pause()
+        assert await walker.stands_still()
+        await handle.resume()
+        assert not await walker.stands_still()
 
 
 async def test_a_child_that_refuses_refuses_for_its_parent():
@@ -294,14 +302,10 @@ async def test_a_child_that_refuses_refuses_for_its_parent():
         ):
             yield await blind.result()
 
-    async with lab(parent) as served:
-        served.node.action_server(Count, "walk", walker.generator)
-        served.node.action_server(Count, "blind", walker.blind)
-        async with served.client.send_goal(goal()) as handle:
-            await take_turns()
-            with pytest.raises(PauseRefused, match="pausable=True"):
-                await handle.pause()
-            assert not await walker.stands_still()
+    async with family(parent, walk=walker.generator, blind=walker.blind) as handle:
+        with pytest.raises(PauseRefused, match="pausable=True"):
+            await handle.pause()
+        assert not await walker.stands_still()
 
 
 async def test_a_rejected_child_is_not_paused():
@@ -360,18 +364,15 @@ async def test_a_parent_that_does_more_than_wait_for_its_children_stands_still_a
                 yield feedback()
                 await anyio.sleep(0)
 
-    async with lab(parent) as served:
-        served.node.action_server(Count, "child", walker.generator)
-        async with served.client.send_goal(goal()) as handle:
-            await take_turns()
-            await handle.pause()
-            await take_turns()
-            count = len(steps)
-            await take_turns()
-            assert len(steps) == count
-            await handle.resume()
-            await take_turns()
-            assert len(steps) > count
+    async with family(parent, child=walker.generator) as handle:
+        await handle.pause()
+        await take_turns()
+        count = len(steps)
+        await take_turns()
+        assert len(steps) == count
+        await handle.resume()
+        await take_turns()
+        assert len(steps) > count
 
 
 async def test_a_goal_that_a_paused_body_sends_begins_paused_and_is_resumed_with_it():
@@ -384,15 +385,15 @@ async def test_a_goal_that_a_paused_body_sends_begins_paused_and_is_resumed_with
             sent.append(child)
             return await child.result()
 
-    async with lab(parent, on_pause=walker.on_pause) as served:
-        served.node.action_server(Count, "child", walker.generator)
-        async with served.client.send_goal(goal()) as handle:
-            await handle.pause()
-            go.set()
-            await take_turns()
-            assert (sent[0].is_paused, walker.steps) == (True, 0)
-            await handle.resume()
-            assert await handle.result() == result(3)
+    async with family(
+        parent, child=walker.generator, options={"on_pause": walker.on_pause}
+    ) as handle:
+        await handle.pause()
+        go.set()
+        await take_turns()
+        assert (sent[0].is_paused, walker.steps) == (True, 0)
+        await handle.resume()
+        assert await handle.result() == result(3)
 
 
 @pytest.mark.parametrize("is_withdrawn", [False, True], ids=["paused", "withdrawn"])
@@ -407,17 +408,15 @@ async def test_a_goal_that_a_body_sends_while_it_is_being_paused_stands_still_wi
         if is_withdrawn:
             raise ValueError("it cannot stop")
 
-    async with lab(parent, on_pause=on_pause) as served:
-        served.node.action_server(Count, "child", walker.generator)
-        async with served.client.send_goal(goal()) as handle:
-            async with running(handle.pause) as pausing:
-                assert not pausing.done.is_set()
-                go.set()
-            assert isinstance(pausing.error, PauseRefused) == is_withdrawn
-            assert handle.is_paused != is_withdrawn
-            assert is_withdrawn or not walker.steps
-            await handle.resume()
-            assert await handle.result() == result(3)
+    async with family(parent, child=walker.generator, options={"on_pause": on_pause}) as handle:
+        async with running(handle.pause) as pausing:
+            assert not pausing.done.is_set()
+            go.set()
+        assert isinstance(pausing.error, PauseRefused) == is_withdrawn
+        assert handle.is_paused != is_withdrawn
+        assert is_withdrawn or not walker.steps
+        await handle.resume()
+        assert await handle.result() == result(3)
 
 
 async def test_a_goal_sent_while_its_parent_brakes_is_paused_too():
@@ -432,12 +431,10 @@ async def test_a_goal_sent_while_its_parent_brakes_is_paused_too():
         go.set()
         await take_turns()
 
-    async with lab(parent, on_pause=brake) as served:
-        served.node.action_server(Count, "child", walker.generator)
-        async with served.client.send_goal(goal()) as handle:
-            await handle.pause()
-            assert walker.steps > 0
-            assert await walker.stands_still()
+    async with family(parent, child=walker.generator, options={"on_pause": brake}) as handle:
+        await handle.pause()
+        assert walker.steps > 0
+        assert await walker.stands_still()
 
 
 @pytest.mark.parametrize("was_paused", [False, True], ids=["with its parent", "by itself"])
@@ -457,21 +454,17 @@ async def test_what_goes_on_without_its_canceled_parent_is_resumed_unless_paused
             sent.append(alone)
             yield await child.result()
 
-    async with lab(parent) as served:
-        served.node.action_server(Count, "alone", walker.generator)
-        served.node.action_server(Count, "other", other.generator)
-        async with served.client.send_goal(goal()) as handle:
-            await take_turns()
-            if was_paused:
-                await sent[0].pause()
-            await handle.pause()
-            assert await walker.stands_still()
-            await handle.cancel()
-            await handle.outcome()
-            await take_turns()
-            assert sent[0].is_paused == was_paused
-            assert await walker.stands_still() == was_paused
-            assert await other.stands_still()
+    async with family(parent, alone=walker.generator, other=other.generator) as handle:
+        if was_paused:
+            await sent[0].pause()
+        await handle.pause()
+        assert await walker.stands_still()
+        await handle.cancel()
+        await handle.outcome()
+        await take_turns()
+        assert sent[0].is_paused == was_paused
+        assert await walker.stands_still() == was_paused
+        assert await other.stands_still()
 
 
 async def test_a_robot_whose_stop_is_cancelled_is_started_again():

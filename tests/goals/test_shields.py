@@ -12,7 +12,7 @@ import turtleact
 from turtleact import GoalStatus
 from turtleact.errors import GoalAborted
 
-from ..lab import Count, feedback, goal, lab, result, running, settle, take_turns
+from ..lab import Count, Gate, feedback, goal, lab, result, running, settle, take_turns
 
 
 class Section:
@@ -194,22 +194,13 @@ async def test_a_cancel_waits_for_the_shielded_section_of_a_child():
 
 
 async def test_a_goal_whose_caller_was_canceled_is_canceling_while_it_cleans_up(send):
-    cleaned = anyio.Event()
+    gate = Gate()
     seen: list[GoalStatus] = []
-
-    async def act(request: Count.Goal) -> Count.Result:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await cleaned.wait()
-        return result()
-
-    async with lab(act) as served, running(lambda: send(served, goal())) as sent:
+    async with lab(gate.tidy) as served, running(lambda: send(served, goal())) as sent:
         sent.scope.cancel()
         await settle()
         seen += [each.status for each in served.active]
-        cleaned.set()
+        gate.opened.set()
         await sent.done.wait()
     assert seen == [GoalStatus.CANCELING]
 
