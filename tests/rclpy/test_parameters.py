@@ -18,9 +18,10 @@ from turtleact.rclpy.exceptions import (
 )
 from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import (
+    AsyncParameterClient,
     Parameter,
+    ParameterEventHandler,
 )
-from turtleact.rclpy.parameter_client import AsyncParameterClient, ParameterEventHandler
 
 Descriptor = interface_class("rcl_interfaces/msg/ParameterDescriptor")
 IntegerRange = interface_class("rcl_interfaces/msg/IntegerRange")

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from turtleact.goals.fault_reports import LostFeedback
     from turtleact.interfaces import Service
 
-__all__ = ["ClientEndpoints"]
+__all__ = ["TARGETS", "ClientEndpoints"]
 
 T = TypeVar("T")
 
@@ -75,6 +75,16 @@ other clients.
 # Both responses begin with a number, in the byte after the CDR header.
 _UNKNOWN: Final = bytes([GoalStatus.UNKNOWN])
 _UNKNOWN_GOAL_ID: Final = bytes([CancelCode.UNKNOWN_GOAL_ID])
+
+
+# Results and cancels are requested from every server of the name. A server that does not know the
+# goal says so, perhaps before the right server answers; that reply does not count.
+TARGETS: Final = {
+    "send_goal": Target("one"),
+    "cancel_goal": Target(counts=lambda reply: reply[4:5] != _UNKNOWN_GOAL_ID),
+    "get_result": Target(counts=lambda reply: reply[4:5] != _UNKNOWN),
+}
+"""Which servers of an action's name get the requests of each service."""
 
 
 class ClientEndpoints:
@@ -134,7 +144,7 @@ class ClientEndpoints:
             names.send_goal,
             f"{action_type.type_name}_SendGoal",
             lambda: self.implied.send_goal,
-            Target("one"),
+            TARGETS["send_goal"],
         )
         self._set_paused: Caller | None = None
 
@@ -246,19 +256,17 @@ class ClientEndpoints:
         endpoint = self._endpoint("subscription", names.feedback, f"{action}_FeedbackMessage", None)
         opened = self.transport.subscribe(endpoint, format, deliver, on_gap=on_gap)
         self._opened.append(opened)
-        # Results and cancels are requested from every server of the name. A server that does not
-        # know the goal says so, perhaps before the right server answers; that reply does not count.
         self.get_result = self._join(
             names.get_result,
             f"{action}_GetResult",
             lambda: self.implied.get_result,
-            Target(counts=lambda reply: reply[4:5] != _UNKNOWN),
+            TARGETS["get_result"],
         )
         self._cancel_goal = self._join(
             names.cancel_goal,
             CancelGoal.type_name,
             lambda: CancelGoal,
-            Target(counts=lambda reply: reply[4:5] != _UNKNOWN_GOAL_ID),
+            TARGETS["cancel_goal"],
         )
 
     def watch_status(self, take_states: Callable[[dict[bytes, State]], None]) -> None:

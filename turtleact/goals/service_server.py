@@ -268,6 +268,7 @@ class ServiceEvents(CallObserver):
         endpoint: A function that returns the description of an endpoint.
         service: The endpoint of the client or server whose calls are published.
         find_type: A function that returns the class of the service.
+        now: Returns the time for the stamps (ns). None means the time of the graph's clock.
         has_contents: Whether to publish the requests and responses, too.
     """
 
@@ -277,6 +278,7 @@ class ServiceEvents(CallObserver):
         endpoint: MakeEndpoint,
         service: Endpoint,
         find_type: Callable[[], object],
+        now: Callable[[], int] | None = None,
         *,
         has_contents: bool,
     ) -> None:
@@ -285,7 +287,7 @@ class ServiceEvents(CallObserver):
         info = ServiceEventInfo
         self._request = info.REQUEST_SENT if is_client else info.REQUEST_RECEIVED
         self._response = info.RESPONSE_RECEIVED if is_client else info.RESPONSE_SENT
-        self._now = transport.clock.now
+        self._now = transport.clock.now if now is None else now
         self._topic = event_topic(service.name)
         described = endpoint("publisher", self._topic, f"{service.type_name}_Event", EVENT_QOS)
         if service.on_demand:
@@ -305,6 +307,10 @@ class ServiceEvents(CallObserver):
         """Publish that a response has been sent or received."""
         if self._is_open and self._publication.has_readers:
             self._publish(self._response, gid, sequence, response)
+
+    def expect_readers(self) -> None:
+        """Publish from now on, even if no reader is known yet."""
+        self._publication.expect_readers()
 
     def close(self) -> None:
         """Close the publisher."""

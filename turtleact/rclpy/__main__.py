@@ -1,4 +1,4 @@
-"""``python -m turtleact.rclpy``; see `turtleact.rclpy.command`."""
+"""``python -m turtleact.rclpy``; see `turtleact.rclpy.program`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def main() -> None:
     if handler is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    from turtleact.rclpy.command import run
+    from turtleact.rclpy.program import run
 
     run(lambda: signal.signal(signal.SIGINT, handler))
 

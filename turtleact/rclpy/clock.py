@@ -394,12 +394,12 @@ class TimeSource:
         self._clock_sub = None
 
     def _on_parameter_event(self, parameters: list[Parameter]) -> Anything:
-        made: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
+        result = interface_class("rcl_interfaces/msg/SetParametersResult")(successful=True)
         for parameter in parameters:
-            if parameter.name != USE_SIM_TIME_NAME:
-                continue
-            if parameter.type_ is not Parameter.Type.BOOL:
-                reason = f"{USE_SIM_TIME_NAME} parameter set to something besides a bool"
-                return made(successful=False, reason=reason)
-            self.ros_time_is_active = parameter.value
-        return made(successful=True)
+            if parameter.name == USE_SIM_TIME_NAME:
+                result.successful = parameter.type_ is Parameter.Type.BOOL
+                if result.successful:
+                    self.ros_time_is_active = parameter.value
+                else:
+                    result.reason = f"{USE_SIM_TIME_NAME} parameter set to something besides a bool"
+        return result

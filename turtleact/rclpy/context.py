@@ -32,7 +32,6 @@ from turtleact.transports.rmw_zenoh.config import domain_of
 __all__ = [
     "Context",
     "SignalHandlerOptions",
-    "get_available_rmw_implementations",
     "get_current_signal_handlers_options",
     "get_default_context",
     "get_rmw_implementation_identifier",
@@ -257,11 +256,6 @@ def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
 def get_rmw_implementation_identifier() -> str:
     """Return the name of the middleware."""
     return RMW
-
-
-def get_available_rmw_implementations() -> set[str]:
-    """Return the names of the middlewares that can be chosen."""
-    return {RMW}
 
 
 # --- signals ------------------------------------------------------------------------------------

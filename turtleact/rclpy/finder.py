@@ -5,7 +5,14 @@ installed under the name ``rclpy``. The finder provides
 
 - ``rclpy`` and its modules, which are the modules of `turtleact.rclpy` under a second name;
 - ``PKG.msg``, ``PKG.srv`` and ``PKG.action`` of every package with known interfaces;
-- small parts of ``ament_index_python`` and ``rosidl_runtime_py``.
+- small parts of ``ament_index_python`` and ``rosidl_runtime_py.utilities``.
+
+``from nav2_msgs.action import NavigateToPose`` also finds a type that no installed package has: the
+type is learned. The user's cache is looked at first. If it has no version of the type, or several,
+the graph is asked once, in a session of its own, because the program has not called ``rclpy.init``
+yet. A thread runs that session, because the importing one may have an event loop. Python holds its
+import lock while it looks for a module, so no thread could import anything then. Types must
+therefore be learned while a module is executed or asked for a name, never by `find_spec`.
 
 If a program imports a part of ROS that turtleact does not have, an `ImportError` says so.
 
@@ -14,20 +21,29 @@ Source: Python's ``importlib`` documentation, "Importing a source file directly"
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from types import ModuleType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from turtleact.errors import TurtleactError, UnknownInterface
-from turtleact.interfaces import get_interface, known_interfaces
+from turtleact.errors import NotLearned, TurtleactError, UnknownInterface
+from turtleact.interfaces import get_interface, known_interfaces, type_hash
 from turtleact.interfaces.definition import type_name_pattern
-from turtleact.interfaces.learned import cached_names
-from turtleact.interfaces.loading import find_interface
+from turtleact.interfaces.learned import cached, cached_names, remember
+from turtleact.interfaces.loading import find_interface, learned_classes
+from turtleact.rclpy.face import SETTINGS
+
+if TYPE_CHECKING:
+    from turtleact.node.learning import Learner
+    from turtleact.transports.graph import Kind
 
 __all__ = ["Finder", "install", "uninstall"]
 
@@ -53,30 +69,27 @@ ALIASES: Final = {
     **dict.fromkeys(("callback_groups", "guard_condition", "handle", "waitable"), "impl.entity"),
     **dict.fromkeys(("client", "service", "service_introspection"), "services"),
     **dict.fromkeys(("publisher", "subscription", "qos_overriding_options"), "topics"),
-    **dict.fromkeys(
-        ("logging_service", "parameter_service", "type_description_service"), "node_services"
-    ),
+    **dict.fromkeys(("type_description_service", "wait_for_message"), "node"),
+    **dict.fromkeys(("impl.logging_severity", "impl.rcutils_logger", "logging_service"), "logging"),
     **dict.fromkeys(("action.graph", "topic_endpoint_info", "type_hash"), "graph"),
     **dict.fromkeys(("clock_type", "constants", "duration"), "time"),
     **dict.fromkeys(("signals", "utilities"), "context"),
     "impl.implementation_singleton": "toplevel",
-    "impl.logging_severity": "impl.rcutils_logger",
-    "parameter_event_handler": "parameter_client",
+    "parameter_client": "parameter",
+    "parameter_event_handler": "parameter",
+    "parameter_service": "impl.node_parameters",
     "qos_event": "event_handler",
     "serialization": "messages",
     "time_source": "clock",
     "type_support": "messages",
-    "wait_for_message": "node",
 }
 """Modules of rclpy, each with the module of turtleact's rclpy that contains its names."""
 
 BESIDE: Final = {
     "ament_index_python": "ament_index",
     "ament_index_python.packages": "ament_index",
-    "rosidl_runtime_py": "rosidl_runtime",
-    "rosidl_runtime_py.utilities": "rosidl_runtime",
-    "rosidl_runtime_py.convert": "rosidl_runtime",
-    "rosidl_runtime_py.set_message": "rosidl_runtime",
+    "rosidl_runtime_py": "messages",
+    "rosidl_runtime_py.utilities": "messages",
 }
 """Modules of other ROS packages, each with the turtleact module that takes its place."""
 
@@ -90,6 +103,14 @@ MISSING: Final = {
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
 """The modules that turtleact does not have, and the reason or advice in the error for each."""
+
+
+LONGEST: Final = 3.0
+"""How long an import may wait for the graph (s)."""
+
+
+PROBLEMS: Final[dict[str, TurtleactError]] = {}
+"""Why types could not be learned. Python looks twice for a name, and nobody is asked twice."""
 
 
 class Finder(MetaPathFinder):
@@ -194,9 +215,7 @@ class _LearnedPackage(_Package):
 
     def exec_module(self, module: ModuleType) -> None:
         """Learn the types of the package, or raise `ModuleNotFoundError`."""
-        from turtleact.rclpy.imports import learn_package  # few programs need it
-
-        if not learn_package(module.__name__):
+        if not _learn_package(module.__name__):
             raise _nowhere(module.__name__, self._places)
 
 
@@ -294,11 +313,10 @@ def _check_known(package: str, kind: str, name: str) -> None:
     Raises:
         ImportError: if there is no such interface, or the file that defines it is malformed.
     """
-    imports = sys.modules.get("turtleact.rclpy.imports")
     type_name = f"{package}/{kind}/{name}"
     try:
-        if imports is not None and type_name in imports.PROBLEMS:
-            raise imports.PROBLEMS[type_name]
+        if type_name in PROBLEMS:
+            raise PROBLEMS[type_name]
         find_interface(type_name)
     except TurtleactError as error:
         text = f"cannot import name '{name}' from '{package}.{kind}': {error}"
@@ -318,9 +336,85 @@ def _learn(type_name: str) -> None:
         is_installed = any(name.startswith(f"{package}/") for name in known_interfaces())
         if is_installed or not type_name_pattern.fullmatch(type_name):
             raise
-        from turtleact.rclpy.imports import learn_import  # few programs need it
+        _learn_import(type_name)
 
-        learn_import(type_name)
+
+def _learn_import(type_name: str) -> None:
+    """Learn a type, so that `turtleact.interfaces.loading.find_interface` finds it.
+
+    Raises:
+        TurtleactError: if neither the cache nor a node on the graph describes the type, or if there
+            are several versions of it. The error lists them.
+    """
+    if type_name in PROBLEMS:
+        raise PROBLEMS[type_name]
+    if len({type_hash(each) for each in learned_classes(type_name)}) == 1:
+        return
+    try:
+        _on_graph(lambda learner: learner.learn_type(type_name), type_name)
+    except TurtleactError as error:
+        PROBLEMS[type_name] = error
+        raise
+
+
+@cache
+def _learn_package(package: str) -> bool:
+    """Learn the types of a package, and return whether there are any.
+
+    A type of which the cache has several versions is left to `_learn_import`, which asks the graph.
+    """
+
+    async def learn(learner: Learner) -> None:
+        def wants(kind: Kind, name: str) -> bool:
+            uses = learner.uses(name, kind)
+            return any(use.type_name.startswith(f"{package}/") for use in uses)
+
+        await learner.learn_all(wants)
+
+    if not _cached(package):
+        with suppress(TurtleactError):
+            _on_graph(learn, package)
+    for name in _cached(package):
+        versions = list(cached(name))
+        if len(versions) == 1:
+            remember(versions[0])
+    return bool(_cached(package))
+
+
+def _cached(package: str) -> list[str]:
+    return [name for name in cached_names() if name.startswith(f"{package}/")]
+
+
+def _on_graph(learn: Callable[[Learner], Awaitable[object]], what: str) -> None:
+    """Open a session, and learn from the graph in it.
+
+    Raises:
+        TurtleactError: if no graph is in reach, or the types cannot be learned in time.
+    """
+    import anyio  # few programs learn a type, and these are slow to import
+
+    from turtleact.node import open_node
+    from turtleact.transports import open_zenoh
+
+    place, domain = SETTINGS.place, int(os.environ.get("ROS_DOMAIN_ID", "0"))
+    problems: list[TurtleactError] = [NotLearned(what, f"no answer within {LONGEST:g} s")]
+
+    async def ask() -> None:
+        with anyio.move_on_after(LONGEST):
+            try:
+                graph = open_zenoh(place.connect or None, domain=domain, config=place.config)
+                async with graph as transport, open_node("_import", transport=transport) as node:
+                    await transport.explore()
+                    await learn(node.learner)
+                problems.clear()
+            except TurtleactError as error:
+                problems[:] = [error]
+
+    asking = threading.Thread(target=anyio.run, args=(ask,))
+    asking.start()  # a thread of its own, because this one may run an event loop
+    asking.join()
+    if problems:
+        raise problems[0]
 
 
 def _is_users_own(package: str) -> bool:

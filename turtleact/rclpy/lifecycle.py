@@ -415,12 +415,12 @@ class LifecycleNodeMixin(ManagedEntity):
     def _publish_transition(self, made: Transition) -> None:
         if self._events is None:
             return
-        described = _described(made)
+        said = _described(made)
         event = self._events.msg_type(
-            timestamp=self._node.get_clock().now().nanoseconds,
-            transition=described.transition,
-            start_state=described.start_state,
-            goal_state=described.goal_state,
+            self._node.get_clock().now().nanoseconds,
+            said.transition,
+            said.start_state,
+            said.goal_state,
         )
         self._events.publish(event)
 
@@ -466,17 +466,13 @@ class LifecycleNode(LifecycleNodeMixin, PlainNode):
 
 
 def _state(label: str) -> Anything:
-    return interface_class("lifecycle_msgs/msg/State")(id=STATES[label], label=label)
+    return interface_class("lifecycle_msgs/msg/State")(STATES[label], label)
 
 
 def _described(made: Transition) -> Anything:
-    transition = interface_class("lifecycle_msgs/msg/Transition")
-    description: Anything = interface_class("lifecycle_msgs/msg/TransitionDescription")
-    return description(
-        transition=transition(id=made.number, label=made.label),
-        start_state=_state(made.start),
-        goal_state=_state(made.goal),
-    )
+    transition = interface_class("lifecycle_msgs/msg/Transition")(made.number, made.label)
+    described = interface_class("lifecycle_msgs/msg/TransitionDescription")
+    return described(transition, _state(made.start), _state(made.goal))
 
 
 # rclpy offers these under shorter names, too.

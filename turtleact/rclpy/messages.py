@@ -23,6 +23,7 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Action, Message, Service, snapshotter, type_hash
+from turtleact.interfaces import get_interface as find_by_name
 from turtleact.interfaces.cdr import BYTE_ORDERS, HEADER, MISREAD, UNFIT, decoder, encoder
 from turtleact.interfaces.class_body import Shape
 from turtleact.interfaces.definition import ArrayForm, Field, FieldType, MessageDefinition, zero
@@ -41,6 +42,10 @@ __all__ = [
     "decode",
     "deserialize_message",
     "encode",
+    "get_action",
+    "get_interface",
+    "get_message",
+    "get_service",
     "hash_of",
     "interface_class",
     "serialize_message",
@@ -138,6 +143,15 @@ def interface_class(type_name: str) -> InterfaceClass:
     members = _parts(found.type_name, ("Goal", "Result", "Feedback"))
     members["Impl"] = type("Impl", (), _implied(found.type_name))
     return _whole_class(found, members)
+
+
+def get_interface(identifier: str) -> InterfaceClass:
+    """Return the class of an interface by its full name, or by ``package/Name``."""
+    return interface_class(find_by_name(identifier).type_name)
+
+
+get_message = get_service = get_action = get_interface
+"""The functions of ``rosidl_runtime_py.utilities``."""
 
 
 def _parts(type_name: str, names: tuple[str, ...]) -> dict[str, object]:
@@ -329,8 +343,9 @@ def encode(message: Anything, message_class: Anything) -> bytes:
         raise TypeError(
             f"Expected {message_class.__module__}.{message_class.__name__}, got {type(message)}"
         )
+    write: Callable[[object], bytes] = encoder(cast("Anything", message_class))
     try:
-        return _encoder(message_class)(message)
+        return write(message)
     except UNFIT:
         # The message has a value that has to be converted, such as a byte, or one that is wrong.
         ours = cast("type[Message]", find_interface(message_class.type_name))
@@ -338,10 +353,6 @@ def encode(message: Anything, message_class: Anything) -> bytes:
         return encoder(ours)(snapshotter(ours)(message))
     except InvalidMessage as error:
         raise TypeError(str(error)) from error
-
-
-def _encoder(message_class: Anything) -> Callable[[object], bytes]:
-    return encoder(message_class)
 
 
 def decode(data: bytes, message_class: Anything) -> Anything:

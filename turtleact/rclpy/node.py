@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import weakref
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
+from turtleact.node.learning import offer_descriptions
 from turtleact.rclpy.clock import Clock, ROSClock, TimeSource
 from turtleact.rclpy.context import get_default_context
 from turtleact.rclpy.event_handler import (
@@ -15,10 +18,10 @@ from turtleact.rclpy.event_handler import (
     SubscriptionEventCallbacks,
 )
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
-from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
+from turtleact.rclpy.executors import Executor
 from turtleact.rclpy.graph import NodeGraph
 from turtleact.rclpy.impl.arguments import arguments_of
-from turtleact.rclpy.impl.connection import CallEnd, Connection
+from turtleact.rclpy.impl.connection import Sender
 from turtleact.rclpy.impl.entity import (
     Block,
     CallbackGroup,
@@ -28,14 +31,21 @@ from turtleact.rclpy.impl.entity import (
     MutuallyExclusiveCallbackGroup,
     ReentrantCallbackGroup,
     Waitable,
+    wait_until,
 )
-from turtleact.rclpy.impl.node_parameters import NodeParameters
-from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, Rosout, logger_named
+from turtleact.rclpy.impl.node_parameters import NodeParameters, ParameterService
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.logging import get_logger
+from turtleact.rclpy.logging import (
+    LoggingService,
+    RcutilsLogger,
+    Rosout,
+    get_logger,
+    logger_named,
+)
 from turtleact.rclpy.messages import (
     check_is_valid_msg_type,
     check_is_valid_srv_type,
+    decode,
     interface_class,
     type_name_of,
 )
@@ -46,11 +56,6 @@ from turtleact.rclpy.names import (
     validate_node_name,
     validate_topic_name,
 )
-from turtleact.rclpy.node_services import (
-    LoggingService,
-    ParameterService,
-    declares_type_descriptions,
-)
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
     QoSProfile,
@@ -59,8 +64,7 @@ from turtleact.rclpy.qos import (
     qos_profile_rosout_default,
     qos_profile_services_default,
 )
-from turtleact.rclpy.services import Client, Service, SwitchableEvents
-from turtleact.rclpy.task import Future
+from turtleact.rclpy.services import Client, Service
 from turtleact.rclpy.time import S_TO_NS
 from turtleact.rclpy.timer import Rate, Timer
 from turtleact.rclpy.topics import (
@@ -69,14 +73,20 @@ from turtleact.rclpy.topics import (
     Subscription,
     declare_qos_parameters,
 )
-from turtleact.transports.base import EVERY_SERVER, Endpoint, EndpointKind, Target
+from turtleact.transports.base import Endpoint, EndpointKind, Source
 
 if TYPE_CHECKING:
     from turtleact.rclpy.context import Context
 
-__all__ = ["HIDDEN_NODE_PREFIX", "Node", "wait_for_message"]
+__all__ = [
+    "HIDDEN_NODE_PREFIX",
+    "START_TYPE_DESCRIPTION_SERVICE_PARAM",
+    "Node",
+    "wait_for_message",
+]
 
 HIDDEN_NODE_PREFIX = "_"
+START_TYPE_DESCRIPTION_SERVICE_PARAM = "start_type_description_service"
 PARAMETER_EVENTS = "/parameter_events"
 ORDER = (Waitable, Timer, Subscription, GuardCondition, Client, Service)
 """The kinds of entities, in the order in which executors serve them."""
@@ -99,6 +109,9 @@ class Node(NodeParameters, NodeGraph, Block):
         automatically_declare_parameters_from_overrides: Whether to declare every parameter that has
             an override.
         enable_logger_service: Whether other nodes may read and set the log levels of this process.
+
+    Attributes:
+        connection: The connection to the graph.
 
     Raises:
         NotInitializedException: if the context is not initialised, or was shut down.
@@ -136,9 +149,10 @@ class Node(NodeParameters, NodeGraph, Block):
         self.default_callback_group: CallbackGroup = MutuallyExclusiveCallbackGroup()
         self._rate_group = ReentrantCallbackGroup()
         self._clock = ROSClock()
-        self._connection = self.context.connection
+        self.connection = self.context.connection
         self._closing = ExitStack()
-        self._closing.callback(self._connection.enter(self.get_fully_qualified_name()))
+        own = self.get_fully_qualified_name()
+        self._closing.callback(self.connection.open(lambda graph: graph.enter(own)))
         self._handle = Handle(self._closing.close)
         self._logger = get_logger(self.get_fully_qualified_name()[1:].replace("/", "."))
         if enable_rosout and "--disable-rosout-logs" not in arguments.flags:
@@ -152,17 +166,16 @@ class Node(NodeParameters, NodeGraph, Block):
         self._time_source.attach_clock(self._clock)
         if start_parameter_services:
             ParameterService(self)
-        if declares_type_descriptions(self):
-            leave = self._connection.describe_types(self.get_fully_qualified_name())
-            self._closing.callback(leave)
+        if self._describes_types():
+            offer = partial(offer_descriptions, node=self.get_fully_qualified_name())
+            self._closing.callback(self.connection.open(offer))
         if enable_logger_service:
             LoggingService(self)
         self.context.nodes.add(self)
 
     def _start_rosout(self, qos: QoSProfile) -> None:
         """Publish the node's log on ``/rosout``."""
-        end = self.endpoint("publisher", "/rosout", "rcl_interfaces/msg/Log", qos)
-        sender = self._connection.advertise(end)
+        sender = self.advertise("/rosout", "rcl_interfaces/msg/Log", qos)
         handler, logger = Rosout(sender), logger_named(self._logger.name)
         logger.addHandler(handler)
         self._closing.callback(sender.close)
@@ -182,20 +195,30 @@ class Node(NodeParameters, NodeGraph, Block):
         )
         self._init_parameters(overrides, allow_undeclared=allow_undeclared)
         if declares_all:
-            dynamic: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
+            dynamic = interface_class("rcl_interfaces/msg/ParameterDescriptor")
             declared = [(name, each.value, dynamic()) for name, each in overrides.items()]
             self.declare_parameters("", declared, ignore_override=True)
 
+    def _describes_types(self) -> bool:
+        """Declare the parameter that switches ``~/get_type_description`` on, and return it."""
+        name = START_TYPE_DESCRIPTION_SERVICE_PARAM
+        if not self.has_parameter(name):
+            descriptor = interface_class("rcl_interfaces/msg/ParameterDescriptor")(
+                description="Whether to offer get_type_description.", read_only=True
+            )
+            self.declare_parameter(name, True, descriptor)
+        return self.get_parameter(name).value is True
+
     def _publish_event(self, **changes: list[Anything]) -> None:
-        made: Anything = interface_class("rcl_interfaces/msg/ParameterEvent")
-        stamp = self._clock.now().to_msg()
-        event = made(stamp=stamp, node=self.get_fully_qualified_name(), **changes)
+        event = interface_class("rcl_interfaces/msg/ParameterEvent")(
+            stamp=self._clock.now().to_msg(), node=self.get_fully_qualified_name(), **changes
+        )
 
         def publish() -> None:
             with suppress(InvalidHandle):  # the node may have been destroyed meanwhile
                 self._parameter_event_publisher.publish(event)
 
-        self._connection.once_explored(publish)
+        self.connection.once_explored(publish)
 
     # what it has
 
@@ -271,20 +294,6 @@ class Node(NodeParameters, NodeGraph, Block):
         self.held_entities = [list(self._of_kind(kind)) for kind in ORDER]
         self.wake_executor()
 
-    def _destroy(self, entity: Anything) -> bool:
-        """Destroy an entity and its event handlers. Return False if the node does not have it."""
-        if entity not in self._held:
-            return False
-        gone = (entity, *getattr(entity, "event_handlers", ()))
-        self._hold([each for each in self._held if each not in gone])
-        entity.destroy()
-        return True
-
-    @property
-    def connection(self) -> Connection:
-        """The connection to the graph."""
-        return self._connection
-
     @property
     def handle(self) -> Handle:
         """The node's handle, which shows whether the node has been destroyed."""
@@ -342,6 +351,13 @@ class Node(NodeParameters, NodeGraph, Block):
             return Endpoint(kind, name, type_name, own)
         return Endpoint(kind, name, type_name, own, qos.for_transport(), times=qos.times())
 
+    def advertise(
+        self, name: str, type_name: str, qos: QoSProfile, source: Source | None = None
+    ) -> Sender:
+        """Open a publisher of encoded messages, which `publishers` does not list."""
+        end = self.endpoint("publisher", name, type_name, qos)
+        return self.connection.advertise(end, source)
+
     # opening
 
     def create_publisher(
@@ -370,30 +386,30 @@ class Node(NodeParameters, NodeGraph, Block):
         Raises:
             InvalidTopicNameException: if the name of the topic is invalid.
         """
-        end, qos = self._topic_end(Publisher, msg_type, topic, qos_profile, qos_overriding_options)
+        end, qos = self.topic_end("publisher", msg_type, topic, qos_profile, qos_overriding_options)
         if topic != PARAMETER_EVENTS:  # so that even the first message reaches every subscription
-            self._connection.wait_until_explored()
+            self.connection.wait_until_explored()
         group = callback_group or self.default_callback_group
         events: EventCallbacks = event_callbacks or PublisherEventCallbacks()
         publisher = publisher_class(EndSpec(self, end, msg_type, topic, qos, group, events))
         self._add(publisher, *publisher.event_handlers)
         return publisher
 
-    def _topic_end(
+    def topic_end(
         self,
-        entity_type: type,
+        kind: EndpointKind,
         msg_type: Anything,
         topic: str,
         qos_profile: QoSProfile | int,
-        options: QoSOverridingOptions | None,
+        options: QoSOverridingOptions | None = None,
     ) -> tuple[Endpoint, QoSProfile]:
         """Return the description of a publisher or subscription, and its quality of service."""
         qos = profile_of(qos_profile)
         check_is_valid_msg_type(msg_type)
         full = self._resolve(topic, is_service=False)
         if options is not None:
-            qos = declare_qos_parameters(entity_type, self, full, qos, options)
-        kind: EndpointKind = "publisher" if entity_type is Publisher else "subscription"
+            entity = Publisher if kind == "publisher" else Subscription
+            qos = declare_qos_parameters(entity, self, full, qos, options)
         return self.endpoint(kind, full, type_name_of(msg_type), qos), qos
 
     def create_subscription(
@@ -425,8 +441,8 @@ class Node(NodeParameters, NodeGraph, Block):
         Raises:
             InvalidTopicNameException: if the name of the topic is invalid.
         """
-        end, qos = self._topic_end(
-            Subscription, msg_type, topic, qos_profile, qos_overriding_options
+        end, qos = self.topic_end(
+            "subscription", msg_type, topic, qos_profile, qos_overriding_options
         )
         group = callback_group or self.default_callback_group
         events: EventCallbacks = event_callbacks or SubscriptionEventCallbacks()
@@ -457,18 +473,10 @@ class Node(NodeParameters, NodeGraph, Block):
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
         group = callback_group or self.default_callback_group
-        end = self.join(full, srv_type)
-        client = Client(
-            EndSpec(self, end.endpoint, srv_type, srv_name, qos_profile, group, end.events), end
-        )
+        end = self.endpoint("client", full, type_name_of(srv_type))
+        client = Client(EndSpec(self, end, srv_type, srv_name, qos_profile, group))
         self._add(client)
         return client
-
-    def join(self, full_name: str, srv_type: Anything, target: Target = EVERY_SERVER) -> CallEnd:
-        """Make the node a client of a service, and return the object that sends the requests."""
-        end = self.endpoint("client", full_name, type_name_of(srv_type))
-        events = SwitchableEvents(self, full_name, srv_type, is_client=True)
-        return CallEnd(self._connection, end, events, target)
 
     def create_service(
         self,
@@ -494,9 +502,8 @@ class Node(NodeParameters, NodeGraph, Block):
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
         end = self.endpoint("service", full, type_name_of(srv_type))
-        events = SwitchableEvents(self, full, srv_type, is_client=False)
         group = callback_group or self.default_callback_group
-        spec = EndSpec(self, end, srv_type, srv_name, qos_profile, group, events)
+        spec = EndSpec(self, end, srv_type, srv_name, qos_profile, group)
         service = Service(spec, callback)
         self._add(service)
         return service
@@ -569,29 +576,17 @@ class Node(NodeParameters, NodeGraph, Block):
 
     # closing
 
-    def destroy_publisher(self, publisher: Publisher) -> bool:
-        """Destroy a publisher of the node. Return False if the node does not have it."""
-        return self._destroy(publisher)
+    def destroy_publisher(self, entity: Anything) -> bool:
+        """Destroy an entity and its event handlers. Return False if the node does not have it."""
+        if entity not in self._held:
+            return False
+        gone = (entity, *getattr(entity, "event_handlers", ()))
+        self._hold([each for each in self._held if each not in gone])
+        entity.destroy()
+        return True
 
-    def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Destroy a subscription of the node. Return False if the node does not have it."""
-        return self._destroy(subscription)
-
-    def destroy_client(self, client: Client) -> bool:
-        """Destroy a client of the node. Return False if the node does not have it."""
-        return self._destroy(client)
-
-    def destroy_service(self, service: Service) -> bool:
-        """Destroy a service of the node. Return False if the node does not have it."""
-        return self._destroy(service)
-
-    def destroy_timer(self, timer: Timer) -> bool:
-        """Destroy a timer of the node. Return False if the node does not have it."""
-        return self._destroy(timer)
-
-    def destroy_guard_condition(self, guard: GuardCondition) -> bool:
-        """Destroy a guard condition of the node. Return False if the node does not have it."""
-        return self._destroy(guard)
+    destroy_subscription = destroy_client = destroy_service = destroy_publisher
+    destroy_timer = destroy_guard_condition = destroy_publisher
 
     def destroy_rate(self, rate: Rate) -> bool:
         """Destroy a rate. Return False if the node does not have the rate's timer."""
@@ -635,19 +630,12 @@ def wait_for_message(
     Returns:
         A pair: whether a message has arrived, and the message, or None if no message has arrived.
     """
-    received = Future()
-    # A node of its own, so that the caller's callbacks do not run here.
-    helper = Node(
-        f"_{node.get_name()}_wait",
-        context=node.context,
-        namespace=node.get_namespace(),
-        use_global_arguments=False,
-        enable_rosout=False,
-        start_parameter_services=False,
-    )
-    with helper, SingleThreadedExecutor(context=node.context) as executor:
-        full_name = node.resolve_topic_name(topic)
-        helper.create_subscription(msg_type, full_name, received.set_result, qos_profile)
-        executor.add_node(helper)
-        executor.spin_until_future_complete(received, time_to_wait)
-    return received.done(), received.result()
+    received: deque[bytes] = deque(maxlen=1)
+    end, _ = node.topic_end("subscription", msg_type, topic, qos_profile)
+    close = node.connection.subscribe(end, received.append)
+    timeout = None if time_to_wait < 0 else time_to_wait
+    try:
+        has_arrived = wait_until(lambda: bool(received), timeout, node.context.ok)
+    finally:
+        close()
+    return has_arrived, decode(received[0], msg_type) if has_arrived else None

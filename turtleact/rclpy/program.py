@@ -1,5 +1,6 @@
 """Prepares the process for a program that imports rclpy, and ends the process after the program.
 
+`run` implements ``python -m turtleact.rclpy [OPTIONS] FILE.py|-m MODULE [ARGUMENTS]``.
 `prepare` must be called before the program's first import. This module imports little, so it hardly
 delays a program that does not use rclpy.
 """
@@ -7,28 +8,37 @@ delays a program that does not use rclpy.
 from __future__ import annotations
 
 import os
+import runpy
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from argparse import REMAINDER, ArgumentParser
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
 import msgspec
 
-from turtleact.interfaces import load_interfaces, offer_interfaces
+from turtleact.errors import TurtleactError
+from turtleact.interfaces import load_interfaces, load_workspace, offer_interfaces
 from turtleact.interfaces.finders import find_interfaces
-from turtleact.rclpy.face import SETTINGS, JoinOptions, chosen_face
+from turtleact.rclpy.face import FACES, SETTINGS, JoinOptions, chosen_face
 from turtleact.rclpy.finder import install
 
-__all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare"]
+__all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare", "run"]
 
 PARENTS = 5
 """How many parents of the program's folder are searched for a folder ``src``."""
 
 ENDING = 1.5
 """How long the program's threads may continue to run after the program's end (s)."""
+
+
+DESCRIPTION = """
+The program behaves as under ``python FILE.py``. The program gets the same arguments, finds modules
+in its own folder, and has the same tracebacks and exit statuses.
+"""
 
 
 class Options(msgspec.Struct, frozen=True):
@@ -129,6 +139,59 @@ def leave(error: BaseException | None) -> NoReturn:
     if isinstance(error, SystemExit):
         os._exit(error.code if isinstance(error.code, int) else int(error.code is not None))
     os._exit(0 if error is None else 1)
+
+
+def run(begin: Callable[[], object]) -> None:
+    """Run the program that the command line names.
+
+    Args:
+        begin: Called right before the program begins.
+    """
+    parser = ArgumentParser("python -m turtleact.rclpy", description=DESCRIPTION)
+    parser.add_argument("--face", choices=FACES, default="auto", help="whose rclpy to use")
+    parser.add_argument("--embedded", action="store_true", help="have a world of turtles, too")
+    parser.add_argument("--alone", action="store_true", help="join no graph of other processes")
+    parser.add_argument("--connect", metavar="ENDPOINT", help="where the graph is")
+    parser.add_argument("--interfaces", metavar="DIR", help="a folder with more interfaces")
+    parser.add_argument("-m", dest="module", action="store_true", help="run a module")
+    parser.add_argument("program", help="the file or module")
+    parser.add_argument("arguments", nargs=REMAINDER, help="the program's own arguments")
+    given = parser.parse_args()
+    if given.alone and given.embedded:
+        parser.error("--embedded needs a graph: leave --alone out")
+    connect = tuple(given.connect.split(",")) if given.connect else ()
+    place = JoinOptions(connect, is_embedded=given.embedded, is_alone=given.alone)
+    options = Options(given.face, place, given.interfaces)
+    file = None if given.module else Path(given.program)
+    if file is not None and not file.is_file():
+        parser.error(f"there is no file '{file}'")
+    load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    offer_interfaces(find_interfaces(Path()))
+    try:
+        prepare(options, *([] if file is None else [file.parent]))
+    except TurtleactError as error:
+        parser.error(str(error))
+    sys.argv = [given.program, *given.arguments]
+    # As Python itself does: the program's folder comes first, or the working directory.
+    sys.path[0] = str(Path.cwd()) if file is None else str(file.absolute().parent)
+    begin()
+    _run(given.program, file)
+
+
+def _run(program: str, file: Path | None) -> None:
+    """Run a file or a module to its end. An exception of the program is raised again."""
+    error: BaseException | None = None
+    try:
+        if file is None:
+            runpy.run_module(program, run_name="__main__", alter_sys=True)
+        else:
+            runpy.run_path(str(file), run_name="__main__")
+    except BaseException as raised:
+        error = raised
+        raise
+    finally:
+        if end_threads():
+            leave(error)
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:

@@ -10,17 +10,14 @@ Source: rclpy ``client.py``, ``service.py`` and ``service_introspection.py``; rc
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import IntEnum
 from functools import partial
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError
-from turtleact.interfaces import EventFormat, get_interface
-from turtleact.interfaces.standard import ServiceEventInfo as Info
-from turtleact.names import event_topic
 from turtleact.rclpy.clock import Clock
 from turtleact.rclpy.exceptions import ROSInterruptException
-from turtleact.rclpy.impl.connection import CallEnd, CallEvents, RequestHandler, Respond, Sender
+from turtleact.rclpy.impl.connection import CallEnd, Respond, ServiceEnd
 from turtleact.rclpy.impl.entity import (
     NOTHING,
     EndSpec,
@@ -30,14 +27,14 @@ from turtleact.rclpy.impl.entity import (
     wait_for_answer,
     wait_until,
 )
-from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.logging import RcutilsLogger
 from turtleact.rclpy.messages import decode, encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.task import Future
 from turtleact.transports.base import Reply
 
-__all__ = ["Client", "Introspected", "Service", "ServiceIntrospectionState", "SwitchableEvents"]
+__all__ = ["Client", "Introspected", "Service", "ServiceIntrospectionState"]
 
 logger = RcutilsLogger("rclpy.service")
 
@@ -54,80 +51,14 @@ class ServiceIntrospectionState(IntEnum):
     CONTENTS = 2
 
 
-class SwitchableEvents(CallEvents):
-    """Publishes the events of a client or server, once `configure` has switched them on.
-
-    Args:
-        node: The node of the client or server.
-        service: The full name of the service.
-        srv_type: The class of the service.
-        is_client: Whether the events are those of a client.
-    """
-
-    def __init__(
-        self, node: Anything, service: str, srv_type: Anything, *, is_client: bool
-    ) -> None:
-        self._node = node
-        self._topic = event_topic(service)
-        self._type_name = srv_type.type_name
-        self._format = EventFormat(lambda: get_interface(srv_type.type_name))
-        self._is_client = is_client
-        # Any thread may publish an event, while another one configures.
-        self._configured: tuple[Sender, Clock, bool] | None = None
-
-    @property
-    def is_on(self) -> bool:
-        """Whether events are published."""
-        return self._configured is not None
-
-    def configure(self, clock: Clock, qos: QoSProfile, state: ServiceIntrospectionState) -> None:
-        """Choose what to publish, the clock for the stamps, and the topic's quality of service."""
-        before, self._configured = self._configured, None
-        if state != ServiceIntrospectionState.OFF:
-            end = self._node.endpoint("publisher", self._topic, f"{self._type_name}_Event", qos)
-            self._node.connection.wait_until_explored()  # so that a reader gets the first event
-            sender = self._node.connection.advertise(end)
-            self._configured = sender, clock, state == ServiceIntrospectionState.CONTENTS
-        if before is not None:
-            before[0].close()
-
-    def requested(self, request: object, gid: bytes, sequence: int) -> None:
-        """Publish that a request was sent or received."""
-        kind = Info.REQUEST_SENT if self._is_client else Info.REQUEST_RECEIVED
-        self._publish(kind, gid, sequence, request=request)
-
-    def responded(self, response: object, gid: bytes, sequence: int) -> None:
-        """Publish that a response was sent or received."""
-        kind = Info.RESPONSE_RECEIVED if self._is_client else Info.RESPONSE_SENT
-        self._publish(kind, gid, sequence, response=response)
-
-    def close(self) -> None:
-        """Close the topic."""
-        before, self._configured = self._configured, None
-        if before is not None:
-            before[0].close()
-
-    def _publish(self, kind: int, gid: bytes, sequence: int, **shown: Anything) -> None:
-        """Publish an event. If this fails, only log the error, so that the call is not affected."""
-        if self._configured is None:
-            return
-        sender, clock, has_contents = self._configured
-        try:
-            if sender.has_readers:
-                info = self._format.info(kind, clock.now_ns(), gid, sequence)
-                sender.publish(self._format.write(info, **(shown if has_contents else {})))
-        except Exception as error:
-            logger.error(f"an event of {self._topic} cannot be published: {error}")
-
-
 class Introspected(Entity):
     """A client or server of a service, or of an action with its three services.
 
     Attributes:
-        service_events: One `SwitchableEvents` for each of these services.
+        ends: The end of each of these services.
     """
 
-    service_events: Sequence[Anything]
+    ends: Sequence[CallEnd | ServiceEnd]
 
     def configure_introspection(
         self,
@@ -147,8 +78,9 @@ class Introspected(Entity):
             InvalidHandle: if the entity was destroyed.
         """
         with self.handle:
-            for each in self.service_events:
-                each.configure(clock, service_event_qos_profile, introspection_state)
+            mode: Anything = introspection_state.name.lower()
+            for each in self.ends:
+                each.events.configure(mode, clock.now_ns, service_event_qos_profile)
 
 
 class _ServiceEnd(Introspected, Subscriptable, QueueEntity):
@@ -156,16 +88,14 @@ class _ServiceEnd(Introspected, Subscriptable, QueueEntity):
 
     Args:
         spec: Describes the client or server.
-        close: Called once, when the client or server is destroyed.
     """
 
-    def __init__(self, spec: EndSpec, close: Callable[[], object]) -> None:
-        super().__init__(spec.callback_group, close=close, wake=spec.node.wake_executor)
+    def __init__(self, spec: EndSpec) -> None:
+        super().__init__(spec.callback_group, close=self._close, wake=spec.node.wake_executor)
         self._full_name = spec.endpoint.name
         self.srv_type = spec.interface
         self.srv_name = spec.name
         self.qos_profile = spec.qos
-        self.service_events = (spec.events,)
 
     @property
     def service_name(self) -> str:
@@ -182,20 +112,24 @@ class _ServiceEnd(Introspected, Subscriptable, QueueEntity):
         """Return a description of this entity for a diagnostic message."""
         return f"the {type(self).__name__.lower()} of {self._full_name}"
 
+    def _close(self) -> None:
+        for end in self.ends:
+            end.close()
+
 
 class Client(_ServiceEnd):
     """Calls a service. Make a client with `Node.create_client`.
 
     Args:
         spec: Describes the client.
-        end: Sends the requests, and receives the responses.
     """
 
-    def __init__(self, spec: EndSpec, end: CallEnd) -> None:
-        super().__init__(spec, end.close)
+    def __init__(self, spec: EndSpec) -> None:
+        super().__init__(spec)
         self.context = spec.node.context
         self._node = spec.node
-        self._end = end
+        self._end = CallEnd(spec.node.connection, spec.endpoint)
+        self.ends = (self._end,)
         self._pending: dict[int, Future] = {}
         self._sequence = 0
         self._lock = threading.Lock()
@@ -295,10 +229,9 @@ class Service(_ServiceEnd):
     """
 
     def __init__(self, spec: EndSpec, callback: Anything) -> None:
-        super().__init__(spec, self._close)
+        super().__init__(spec)
         self.callback = callback
-        handler = RequestHandler(self._receive, spec.events)
-        self._leave_graph = spec.node.connection.serve(spec.endpoint, handler)
+        self.ends = (ServiceEnd(spec.node.connection, spec.endpoint, self._receive),)
 
     def _receive(self, request: bytes, respond: Respond) -> None:
         self.put((request, respond))
@@ -329,8 +262,3 @@ class Service(_ServiceEnd):
             TypeError: if the response is of another class, or a value does not fit its field.
         """
         header(Reply(encode(response, self.srv_type.Response)))
-
-    def _close(self) -> None:
-        for each in self.service_events:
-            each.close()
-        self._leave_graph()

@@ -18,8 +18,8 @@ from turtleact.rclpy.impl.entity import (
     QueueEntity,
     await_or_execute,
 )
-from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.logging import RcutilsLogger
 from turtleact.rclpy.messages import decode, encode, interface_class
 from turtleact.rclpy.qos import QoSPolicyEnum, QoSPolicyKind, QoSProfile
 from turtleact.rclpy.time import Duration

@@ -21,7 +21,7 @@ from weakref import WeakValueDictionary
 from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.goals.wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
-from turtleact.rclpy.action.endpoints import ActionKind, goal_key
+from turtleact.rclpy.action.endpoints import FEEDBACK_QOS, STATUS, ActionKind, goal_key
 from turtleact.rclpy.impl.entity import (
     NOTHING,
     Waitable,
@@ -48,8 +48,6 @@ __all__ = ["ActionClient", "ClientGoalHandle"]
 
 Event: TypeAlias = "tuple[Callable[..., Anything], tuple[Anything, ...]]"
 """A queued message: the function that handles the message, and the function's arguments."""
-
-FEEDBACK_QOS = QoSProfile(depth=10)
 
 
 class ClientGoalHandle(Subscriptable):
@@ -169,10 +167,13 @@ class ActionClient(Introspected, Waitable):
         self._ends = {
             name: self._kind.join(name) for name in ("send_goal", "cancel_goal", "get_result")
         }
-        self.service_events = [end.events for end in self._ends.values()]
+        self.ends = tuple(self._ends.values())
+        names, kind = self._kind.names, self._kind
         self._closing = [
-            self._kind.subscribe_feedback(feedback_sub_qos_profile, self._take_feedback),
-            self._kind.subscribe_status(status_sub_qos_profile, self._take_status),
+            kind.subscribe(
+                names.feedback, kind.feedback_type, feedback_sub_qos_profile, self._take_feedback
+            ),
+            kind.subscribe(names.status, STATUS, status_sub_qos_profile, self._take_status),
         ]
         node.add_waitable(self)
 

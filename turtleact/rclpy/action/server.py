@@ -15,16 +15,23 @@ import threading
 import time
 import traceback
 from collections import deque
-from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.errors import InvalidMessage, InvalidTransition
-from turtleact.goals.state import Goal, GoalEvent, GoalStatus, cancel_code, select
+from turtleact.goals.state import (
+    CancelResponse,
+    Goal,
+    GoalEvent,
+    GoalResponse,
+    GoalStatus,
+    cancel_code,
+    select,
+)
 from turtleact.goals.wire import GoalMetadata
-from turtleact.rclpy.action.endpoints import ActionKind, StatusTopic, goal_key
+from turtleact.rclpy.action.endpoints import FEEDBACK_QOS, ActionKind, StatusTopic, goal_key
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError
-from turtleact.rclpy.impl.connection import RequestHandler, Respond
+from turtleact.rclpy.impl.connection import Respond
 from turtleact.rclpy.impl.entity import NOTHING, Waitable, await_or_execute
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages import decode, encode
@@ -53,22 +60,6 @@ __all__ = [
 
 Request: TypeAlias = "tuple[str, Anything, Respond]"
 """A request that waits: its service, its message, and the function that answers it."""
-
-FEEDBACK_QOS = QoSProfile(depth=10)
-
-
-class GoalResponse(Enum):
-    """The answer to a goal request."""
-
-    REJECT = 1
-    ACCEPT = 2
-
-
-class CancelResponse(Enum):
-    """The answer to a cancel request for one goal."""
-
-    REJECT = 1
-    ACCEPT = 2
 
 
 def default_handle_accepted_callback(goal_handle: ServerGoalHandle) -> None:
@@ -285,16 +276,16 @@ class ActionServer(Introspected, Waitable):
         self.register_handle_accepted_callback(handle_accepted_callback)
         self.register_cancel_callback(cancel_callback)
         self.register_execute_callback(execute_callback)
-        self._feedback = self._kind.advertise_feedback(feedback_pub_qos_profile)
+        kind = self._kind
+        feedback = kind.names.feedback
+        self._feedback = node.advertise(feedback, kind.feedback_type, feedback_pub_qos_profile)
         self._status = StatusTopic(node, self._kind, status_pub_qos_profile, self._held)
-        services = ("cancel_goal", "get_result", "send_goal")
-        events = {service: self._kind.events(service) for service in services}
-        self.service_events = tuple(events.values())
-        self._handlers = {
-            service: RequestHandler(partial(self._receive, service), events[service])
-            for service in services
+        # The last is send_goal: clients that see it expect the others.
+        self._ends = {
+            service: kind.serve(service, partial(self._receive, service))
+            for service in ("cancel_goal", "get_result", "send_goal")
         }
-        self._closing = [self._kind.serve(*each) for each in self._handlers.items()]
+        self.ends = tuple(self._ends.values())
         self._expects_readers = False
         node.add_waitable(self)
 
@@ -385,9 +376,7 @@ class ActionServer(Introspected, Waitable):
         super().destroy()
         for goal_handle in list(self._goal_handles.values()):
             goal_handle.destroy()
-        for close in self._closing:
-            close()
-        for each in (*self.service_events, self._feedback, self._status):
+        for each in (*self.ends, self._feedback, self._status):
             each.close()
         self._node.remove_waitable(self)
 
@@ -415,7 +404,7 @@ class ActionServer(Introspected, Waitable):
 
         The goal's client reads feedback, but its subscription may not have been discovered yet.
         """
-        if self._handlers["send_goal"].has_remote_callers and not self._expects_readers:
+        if self._ends["send_goal"].handler.has_remote_callers and not self._expects_readers:
             self._expects_readers = True
             self._feedback.expect_readers()
 
@@ -499,7 +488,9 @@ class ActionServer(Introspected, Waitable):
 
     def publish_feedback(self, goal_id: bytes, feedback: Anything) -> None:
         """Publish feedback of a goal. The goal's handle calls this."""
-        self._feedback.publish(self._kind.encode_feedback(goal_id, feedback))
+        message = self._action_type.Impl.FeedbackMessage(feedback=feedback)
+        message.goal_id.uuid = list(goal_id)
+        self._feedback.publish(encode(message, type(message)))
 
     # canceling
 

@@ -21,13 +21,13 @@ from concurrent.futures import Future, wait
 from contextlib import AbstractAsyncContextManager
 from functools import partial
 from itertools import count
-from typing import Protocol, TypeAlias, TypeVar, cast
-
-import msgspec
+from typing import TypeAlias, TypeVar, cast
 
 from turtleact.errors import TurtleactError
-from turtleact.node.learning import offer_descriptions
+from turtleact.goals.service_server import Introspection, ServiceEvents
+from turtleact.interfaces import get_interface
 from turtleact.rclpy.messages import hash_of
+from turtleact.rclpy.qos import QoSProfile
 from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -37,6 +37,8 @@ from turtleact.transports.base import (
     Endpoint,
     EndpointKind,
     Publication,
+    QoS,
+    RawFormat,
     Reply,
     ServiceHandler,
     Source,
@@ -45,12 +47,15 @@ from turtleact.transports.base import (
 
 __all__ = [
     "CallEnd",
-    "CallEvents",
+    "Close",
     "Connection",
     "EventLoop",
     "OpenTransport",
     "RequestHandler",
+    "Respond",
     "Sender",
+    "ServiceEnd",
+    "SwitchableEvents",
 ]
 
 T = TypeVar("T")
@@ -135,24 +140,6 @@ class EventLoop:
             return self._loop
 
 
-class Encoded(msgspec.Struct, frozen=True):
-    """The format of an endpoint that sends or receives encoded messages.
-
-    Attributes:
-        type_hash: The type hash of the interface.
-    """
-
-    type_hash: str
-
-    def encode(self, message: object) -> bytes:
-        """Return the message, which is encoded already."""
-        return cast("bytes", message)
-
-    def decode(self, data: bytes) -> object:
-        """Return the data unchanged, because the receiving entity decodes the message."""
-        return data
-
-
 class Sender:
     """Publishes encoded messages on a topic, from any thread.
 
@@ -191,68 +178,13 @@ class Sender:
         """Send all later messages, even if no subscription has been discovered yet."""
         self._connection.loop.call(self._publication.expect_readers)
 
-    def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
-        """Publish the current state of the topic's `Source` after ``delay`` seconds.
-
-        Args:
-            delay: How many seconds to wait.
-            begin: Called right before the state is published.
-        """
-
-        def refresh() -> None:
-            begin()
-            self._publication.refresh()
-
-        self._connection.loop.post_later(delay, refresh)
+    def refresh(self) -> None:
+        """Publish the current state of the topic's `Source`. Call this in the event loop."""
+        self._publication.refresh()
 
     def close(self) -> None:
         """Leave the topic after all published messages are sent."""
         self._connection.loop.post(self._publication.close)
-
-
-class CallEvents(CallObserver, Protocol):
-    """Watches the calls of a service while `is_on`; gets requests and responses as CDR bytes."""
-
-    @property
-    def is_on(self) -> bool:
-        """Whether to tell the observer about calls."""
-
-    def close(self) -> None:
-        """Stop watching."""
-
-
-class RequestHandler(ServiceHandler):
-    """Passes the requests for a service to a function that may answer in any thread, at any time.
-
-    Args:
-        take: Called in any thread, with a request and the function that answers it.
-        observer: Gets the requests and the responses while its `is_on` is true.
-
-    Attributes:
-        take: The function that handles requests.
-        observer: The observer of the requests and responses; None if there is none.
-        has_remote_callers: Whether another process has sent a request.
-    """
-
-    observer: CallEvents | None
-
-    def __init__(
-        self, take: Callable[[bytes, Respond], None], observer: CallEvents | None = None
-    ) -> None:
-        self.take = take
-        self.observer = observer
-        self.has_remote_callers = False
-
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
-        """Pass a request to the function ``take``, and wait for the answer."""
-        self.has_remote_callers = True
-        answered: Future[Reply | TurtleactError] = Future()
-        answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
-        self.take(cast("bytes", request), answered.set_result)
-        reply = await asyncio.wrap_future(answered)
-        if isinstance(reply, TurtleactError):
-            raise reply
-        return reply
 
 
 class Connection:
@@ -327,55 +259,49 @@ class Connection:
 
         return self.loop.start(watch).cancel
 
-    def enter(self, node: str) -> Close:
-        """Show a node on the graph, until the returned function is called."""
-        return self._closer(self.loop.call(partial(self._transport.enter, node)))
+    def open(self, function: Callable[[Transport], Closeable]) -> Close:
+        """Call ``function(transport)`` in the event loop; return what closes the result."""
+        opened = self.call(function)
+        return partial(self.loop.post, opened.close)
 
-    def describe_types(self, node: str) -> Close:
-        """Offer ``get_type_description`` for a node of this process."""
-        return self._closer(self.loop.call(partial(offer_descriptions, self._transport, node)))
+    def call(self, function: Callable[[Transport], T]) -> T:
+        """Call ``function(transport)`` in the event loop, and return its result."""
+        return self.loop.call(partial(function, self._transport))
 
     def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Sender:
         """Open a publisher of a topic.
 
         A subscription that this process has already discovered gets all messages, from the first.
         """
-        transport = self._transport
 
-        def open_it() -> Publication:
+        def open_it(transport: Transport) -> Publication:
             publication = transport.advertise(endpoint, _format(endpoint), source)
             if any(each.kind == "subscription" for each in transport.endpoints(endpoint.name)):
                 publication.expect_readers()
             return publication
 
         is_latched = endpoint.qos.durability == "transient_local"
-        return Sender(self, self.loop.call(open_it), is_latched=is_latched)
+        return Sender(self, self.call(open_it), is_latched=is_latched)
 
     def subscribe(self, endpoint: Endpoint, deliver: Callable[[bytes], None]) -> Close:
         """Open a subscription to a topic.
 
         Any thread may call ``deliver`` with an encoded message.
         """
-        opening = partial(
-            self._transport.subscribe,
-            endpoint,
-            _format(endpoint),
-            cast("Callable[[object], None]", deliver),
-            in_any_thread=True,
-        )
-        return self._closer(self.loop.call(opening))
+        take = cast("Callable[[object], None]", deliver)
+        format = _format(endpoint)
+        return self.open(lambda each: each.subscribe(endpoint, format, take, in_any_thread=True))
 
     def serve(self, endpoint: Endpoint, handler: RequestHandler) -> Close:
         """Open a server of a service."""
-        opening = partial(self._transport.serve, endpoint, _format(endpoint), handler)
-        return self._closer(self.loop.call(opening))
+        return self.open(lambda transport: transport.serve(endpoint, _format(endpoint), handler))
 
     def join(self, endpoint: Endpoint, target: Target = EVERY_SERVER) -> Caller:
         """Open a client of a service.
 
         The client's methods must be called in the event loop, except those that allow any thread.
         """
-        return self.loop.call(partial(self._transport.join, endpoint, _format(endpoint), target))
+        return self.call(lambda transport: transport.join(endpoint, _format(endpoint), target))
 
     def local(self, name: str, type_name: str) -> RequestHandler | None:
         """Return the handler of a service in this process, if there is one."""
@@ -385,23 +311,142 @@ class Connection:
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """Return all endpoints on the graph, or only those of the topic or service ``name``."""
         self.wait_until_explored()
-        return self.loop.call(partial(self._transport.endpoints, name))
+        return self.call(lambda transport: transport.endpoints(name))
 
     def nodes(self) -> tuple[str, ...]:
         """Return the full names of all nodes on the graph."""
         self.wait_until_explored()
-        return self.loop.call(self._transport.nodes)
+        return self.call(lambda transport: transport.nodes())
 
     def count(self, name: str, kind: EndpointKind) -> int:
         """Count the endpoints of a kind that a topic or service has."""
         return sum(each.kind == kind for each in self.endpoints(name))
 
-    def _closer(self, opened: Closeable) -> Close:
-        return partial(self.loop.post, opened.close)
+
+def _format(endpoint: Endpoint) -> RawFormat:
+    """Return the format of an endpoint whose messages are encoded by the program's threads."""
+    return RawFormat(hash_of(endpoint.type_name))
 
 
-def _format(endpoint: Endpoint) -> Encoded:
-    return Encoded(hash_of(endpoint.type_name))
+class SwitchableEvents(CallObserver):
+    """Publishes the events of a client or server of a service, while `configure` has it do so.
+
+    Args:
+        connection: The connection to the graph.
+        service: Describes the client or server on the graph.
+    """
+
+    def __init__(self, connection: Connection, service: Endpoint) -> None:
+        self._connection = connection
+        self._service = service
+        self._events: ServiceEvents | None = None
+        self._lock = threading.Lock()  # any thread may report a call
+
+    def configure(self, mode: Introspection, now: Callable[[], int], profile: QoSProfile) -> None:
+        """Choose what to publish, the clock for the stamps, and the topic's quality of service."""
+        self.close()
+        if mode == "off":
+            return
+        service = self._service
+
+        def describe(
+            kind: EndpointKind,
+            name: str,
+            type_name: str,
+            qos: QoS | None = None,  # noqa: ARG001  # the program has chosen another
+        ) -> Endpoint:
+            node, times = service.node, profile.times()
+            return Endpoint(kind, name, type_name, node, profile.for_transport(), times=times)
+
+        def open_it(transport: Transport) -> ServiceEvents:
+            find_type = partial(get_interface, service.type_name)
+            has_contents = mode == "contents"
+            return ServiceEvents(
+                transport, describe, service, find_type, now, has_contents=has_contents
+            )
+
+        self._connection.wait_until_explored()  # so that a reader gets the first event
+        self._events = self._connection.call(open_it)
+        self._events.expect_readers()
+
+    def requested(self, request: object, gid: bytes, sequence: int) -> None:
+        """Publish that a request was sent or received."""
+        with self._lock:
+            if self._events is not None:
+                self._events.requested(request, gid, sequence)
+
+    def responded(self, response: object, gid: bytes, sequence: int) -> None:
+        """Publish that a response was sent or received."""
+        with self._lock:
+            if self._events is not None:
+                self._events.responded(response, gid, sequence)
+
+    def close(self) -> None:
+        """Publish no more events, and leave the topic."""
+        with self._lock:
+            before, self._events = self._events, None
+        if before is not None:
+            self._connection.loop.post(before.close)
+
+
+class RequestHandler(ServiceHandler):
+    """Passes the requests for a service to a function that may answer in any thread, at any time.
+
+    Args:
+        take: Called in any thread, with a request and the function that answers it.
+        observer: Gets the requests and the responses.
+
+    Attributes:
+        take: The function that handles requests.
+        has_remote_callers: Whether another process has sent a request.
+    """
+
+    def __init__(
+        self, take: Callable[[bytes, Respond], None], observer: CallObserver | None = None
+    ) -> None:
+        self.take = take
+        self.observer = observer
+        self.has_remote_callers = False
+
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
+        """Pass a request to the function ``take``, and wait for the answer."""
+        self.has_remote_callers = True
+        answered: Future[Reply | TurtleactError] = Future()
+        answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
+        self.take(cast("bytes", request), answered.set_result)
+        reply = await asyncio.wrap_future(answered)
+        if isinstance(reply, TurtleactError):
+            raise reply
+        return reply
+
+
+class ServiceEnd:
+    """Receives the requests for a service.
+
+    Args:
+        connection: The connection to the graph.
+        endpoint: Describes the server on the graph.
+        take: Called in any thread, with a request and the function that answers it.
+
+    Attributes:
+        events: The publisher of the calls' introspection events.
+        handler: Passes the requests on.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        endpoint: Endpoint,
+        take: Callable[[bytes, Respond], None],
+    ) -> None:
+        self.events = SwitchableEvents(connection, endpoint)
+        self.handler = RequestHandler(take, self.events)
+        self._leave = connection.serve(endpoint, self.handler)
+
+    def close(self) -> None:
+        """Publish no more events, and take no more requests."""
+        self.events.close()
+        self._leave()
 
 
 class CallEnd:
@@ -410,7 +455,6 @@ class CallEnd:
     Args:
         connection: The connection to the graph.
         endpoint: Describes the client on the graph.
-        events: Publishes the events of the calls, if introspection is on.
         target: Which servers get the requests.
 
     Attributes:
@@ -419,16 +463,13 @@ class CallEnd:
     """
 
     def __init__(
-        self,
-        connection: Connection,
-        endpoint: Endpoint,
-        events: CallEvents,
-        target: Target = EVERY_SERVER,
+        self, connection: Connection, endpoint: Endpoint, target: Target = EVERY_SERVER
     ) -> None:
         self._connection = connection
         self.endpoint = endpoint
+        self.events = SwitchableEvents(connection, endpoint)
         self._caller: Caller = connection.join(endpoint, target)
-        self._caller.observer = self.events = events
+        self._caller.observer = self.events
         self._gid = os.urandom(16)  # identifies it in the events of calls inside the process
         self._sequence = count(1)
         self._found: RequestHandler | None = None
@@ -473,10 +514,7 @@ class CallEnd:
 
         The transport does not report calls inside this process, so this method does.
         """
-        both = (self.events, handler.observer)
-        observers = [each for each in both if each is not None and each.is_on]
-        if not observers:
-            return respond
+        observers = [each for each in (self.events, handler.observer) if each is not None]
         sequence = next(self._sequence)
         for each in observers:
             each.requested(request, self._gid, sequence)

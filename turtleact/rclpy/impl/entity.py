@@ -20,8 +20,8 @@ from weakref import WeakSet
 import msgspec
 
 from turtleact.rclpy.exceptions import InvalidHandle
-from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.logging import RcutilsLogger
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.transports.base import Endpoint
 
@@ -305,7 +305,7 @@ class EndSpec(msgspec.Struct, frozen=True):
         name: The name of the topic or service, as the program gave it.
         qos: The quality of service.
         callback_group: Decides when callbacks may run.
-        events: The callbacks for events, or what publishes the events of calls.
+        events: The callbacks for events of a topic.
     """
 
     node: Anything
@@ -314,7 +314,7 @@ class EndSpec(msgspec.Struct, frozen=True):
     name: str
     qos: QoSProfile
     callback_group: CallbackGroup
-    events: Anything
+    events: Anything = None
 
 
 class QueueEntity(Entity):

@@ -1,4 +1,4 @@
-"""The parameters of a node: their declarations, values, descriptors and callbacks.
+"""The parameters of a node: their declarations, values, descriptors, callbacks and services.
 
 `set_parameters` sets each parameter on its own. `set_parameters_atomically` sets all parameters or
 none. Before checking values, both methods call the pre-set callbacks, which may change the list of
@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
+from turtleact.names import PARAMETER_SERVICES
 from turtleact.node.parameter_rules import is_listed, out_of_range
 from turtleact.rclpy.exceptions import (
     InvalidParameterTypeException,
@@ -31,8 +32,9 @@ from turtleact.rclpy.parameter import (
     Parameter,
     parameter_value_to_python,
 )
+from turtleact.rclpy.qos import qos_profile_parameters
 
-__all__ = ["NodeParameters"]
+__all__ = ["NodeParameters", "ParameterService"]
 
 PreCallback: TypeAlias = Callable[[list[Parameter]], list[Parameter]]
 OnCallback: TypeAlias = Callable[[list[Parameter]], Anything]
@@ -40,13 +42,13 @@ PostCallback: TypeAlias = Callable[[list[Parameter]], object]
 
 
 def _result(*, successful: bool, reason: str = "") -> Anything:
-    made: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
-    return made(successful=successful, reason=reason)
+    return interface_class("rcl_interfaces/msg/SetParametersResult")(
+        successful=successful, reason=reason
+    )
 
 
 def _descriptor(**fields: object) -> Anything:
-    made: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
-    return made(**fields)
+    return interface_class("rcl_interfaces/msg/ParameterDescriptor")(**fields)
 
 
 class NodeParameters:
@@ -261,8 +263,7 @@ class NodeParameters:
         """
         if depth < 0:
             raise ValueError("depth must be greater than or equal to zero")
-        made: Anything = interface_class("rcl_interfaces/msg/ListParametersResult")
-        result = made()
+        result = interface_class("rcl_interfaces/msg/ListParametersResult")()
         for name in sorted(self._parameters):
             if is_listed(name, prefixes, depth):
                 result.names.append(name)
@@ -428,6 +429,75 @@ class NodeParameters:
     def describe_parameters(self, names: list[str]) -> list[Anything]:
         """Return several descriptors; see `describe_parameter`."""
         return [self.describe_parameter(name) for name in names]
+
+
+class ParameterService:
+    """Creates the six parameter services on a node.
+
+    Args:
+        node: The node.
+    """
+
+    def __init__(self, node: Anything) -> None:
+        self._node = node
+        answers = (
+            self._describe,
+            self._get_types,
+            self._get,
+            self._list,
+            self._set,
+            self._set_atomically,
+        )
+        for name, callback in zip(PARAMETER_SERVICES, answers, strict=True):
+            node.create_service(
+                interface_class(f"rcl_interfaces/srv/{name.title().replace('_', '')}"),
+                f"{node.get_name()}/{name}",
+                callback,
+                qos_profile=qos_profile_parameters,
+            )
+
+    def _describe(self, request: Anything, response: Anything) -> Anything:
+        for name in request.names:
+            try:
+                descriptor = self._node.describe_parameter(name)
+            except ParameterNotDeclaredException:
+                descriptor = _descriptor(name=name)
+            response.descriptors.append(descriptor)
+        return response
+
+    def _get(self, request: Anything, response: Anything) -> Anything:
+        found = [self._node.get_parameter_or(name) for name in request.names]
+        # One unknown name leaves the answer empty, as in rclpy.
+        if not any(each.type_ is Parameter.Type.NOT_SET for each in found):
+            response.values = [each.get_parameter_value() for each in found]
+        return response
+
+    def _get_types(self, request: Anything, response: Anything) -> Anything:
+        try:
+            found = self._node.get_parameter_types(list(request.names))
+        except ParameterNotDeclaredException:
+            found = []
+        response.types = [kind.value for kind in found]
+        return response
+
+    def _list(self, request: Anything, response: Anything) -> Anything:
+        response.result = self._node.list_parameters(list(request.prefixes), request.depth)
+        return response
+
+    def _set(self, request: Anything, response: Anything) -> Anything:
+        response.results = [self._set_together([each]) for each in request.parameters]
+        return response
+
+    def _set_atomically(self, request: Anything, response: Anything) -> Anything:
+        response.result = self._set_together(request.parameters)
+        return response
+
+    def _set_together(self, messages: Sequence[Anything]) -> Anything:
+        parameters = [Parameter.from_parameter_msg(each) for each in messages]
+        try:
+            return self._node.set_parameters_atomically(parameters)
+        except ParameterNotDeclaredException as error:
+            return _result(successful=False, reason=str(error))
 
 
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
