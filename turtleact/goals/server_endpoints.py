@@ -59,7 +59,6 @@ from turtleact.transports.base import (
     Endpoint,
     EndpointKind,
     MakeEndpoint,
-    Publication,
     QoS,
     Reply,
     ServiceHandler,
@@ -283,7 +282,6 @@ class StatusTopic(ObservingSource):
         self._server = server
         self._clock = transport.clock
         self._expiring: Background | None = None
-        self._publication: Publication | None = None  # `readers_changed` may be called in here:
         self._publication = transport.advertise(endpoint, WireFormat(GoalStatusArray), self)
 
     def current(self) -> Sequence[object]:
@@ -317,7 +315,7 @@ class StatusTopic(ObservingSource):
             else:
                 left = (due - self._server.now()) / SECOND
                 await self._clock.sleep(max(left, EXPIRED_TOGETHER))
-                self._refresh()
+                self._publication.refresh()
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Publish the status of all goals again.
@@ -325,17 +323,12 @@ class StatusTopic(ObservingSource):
         Readers in this process get a message at each change. Readers in other processes get one
         message for several changes in quick succession.
         """
-        self._refresh()
-
-    def _refresh(self) -> None:
-        if self._publication is not None:
-            self._publication.refresh()
+        self._publication.refresh()
 
     def close(self) -> None:
         """Close the topic."""
         self.readers_changed(has_readers=False)
-        if self._publication is not None:
-            self._publication.close()
+        self._publication.close()
 
 
 class ReasonTopic(ObservingSource):

@@ -400,15 +400,10 @@ class _Caller:
         self._calls = 0  # under way
         self._transport = transport
         self._is_open = True
-        self._is_served = False
-        self._seen = -1  # the graph's change count when `_is_served` was computed
 
     @property
     def is_served(self) -> bool:
-        if self._seen != self._transport.changes:
-            self._is_served = self._handler() is not None
-            self._seen = self._transport.changes
-        return self._is_served
+        return self._handler() is not None
 
     async def call(self, request: object, note: str = "") -> Reply:  # noqa: ARG002
         name, handler = self.endpoint.name, self._handler()

@@ -289,7 +289,6 @@ class ReceiveQueue:
         self._tasks = tasks
         self._jobs: deque[Job] = deque()
         self._is_armed = False
-        self._is_open = True
 
     def push(self, job: Job) -> None:
         """Run a job in the event loop. May be called in any thread."""
@@ -298,17 +297,10 @@ class ReceiveQueue:
             self._is_armed = True
             self._tasks.from_anywhere(self._work)
 
-    def close(self) -> None:
-        """Drop the waiting jobs, and run no more jobs."""
-        self._is_open = False
-        self._jobs.clear()
-
     def _work(self) -> None:
         self._is_armed = False
         jobs = self._jobs
         for _ in range(min(len(jobs), IN_A_ROW)):
-            if not self._is_open:
-                return
             try:
                 jobs.popleft()()
             except Exception:

@@ -197,7 +197,8 @@ class WirePublication(Source):
         On a latched topic, several calls in a row send only the last state to other processes.
         """
         if self._is_open:
-            self._near.refresh()
+            if self._near.has_readers:
+                self._near.refresh()
             if self._is_state:
                 self._grow_stale()
             elif self.is_read:

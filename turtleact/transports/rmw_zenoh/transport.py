@@ -263,7 +263,6 @@ class ZenohTransport:
                 each.close()
             await context.send_queue.aclose()
             await anyio.to_thread.run_sync(context.session.close)
-        context.receive_queue.close()
         self._near.tell_change()
         for event in self._awaited:  # the send_queue may have ended without setting them
             event.set()

@@ -39,7 +39,6 @@ Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp``, ``detail/attachment_helpe
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
 from time import time_ns
 
 import msgspec
@@ -417,7 +416,6 @@ def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> b
     return data + _note_tail(note) if note else data
 
 
-@lru_cache(maxsize=4)  # almost all replies of a server have the same note
 def _note_tail(note: str) -> bytes:
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
     if len(tail) > LONGEST_NOTE:
