@@ -58,22 +58,32 @@ _CONTROL: Final = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
 """The characters of a file that could change the terminal's state."""
 
 
-Messages = Annotated[bool, flag("--only-msgs", "-m", text="Messages only.")]
-Services = Annotated[bool, flag("--only-srvs", "-s", text="Services only.")]
-Actions = Annotated[bool, flag("--only-actions", "-a", text="Actions only.")]
 Packages = Annotated[
     list[str], argument("PACKAGE", "The packages, such as nav2_msgs.", completion.packages)
 ]
 
+
+def _kinds(
+    *,
+    msgs: Annotated[bool, flag("--only-msgs", "-m", text="Messages only.")] = False,
+    srvs: Annotated[bool, flag("--only-srvs", "-s", text="Services only.")] = False,
+    actions: Annotated[bool, flag("--only-actions", "-a", text="Actions only.")] = False,
+) -> list[str]:
+    """Return the kinds that the user wants; all if none is given."""
+    given = {"msg": msgs, "srv": srvs, "action": actions}
+    return [kind for kind, is_wanted in given.items() if is_wanted] or [*KINDS]
+
+
+BY_KIND: Final = {"kinds": _kinds}
+"""The parameter of verbs that stands for the kinds of interfaces."""
+
 app = new_group("interface")
 
 
-@verb(app, "list", knows=True)
+@verb(app, "list", knows=True, bundles=BY_KIND)
 def list_(
     *,
-    msgs: Messages = False,
-    srvs: Services = False,
-    actions: Actions = False,
+    kinds: list[str],
     learned: Annotated[
         bool, flag("--learned", text="Only what was learned from nodes, and from which.")
     ] = False,
@@ -85,33 +95,29 @@ def list_(
         for each in cached_types():
             say(f"{each.interface.type_name} {each.type_hash} {each.node}\n")
         return
-    for kind in _kinds(msgs=msgs, srvs=srvs, actions=actions):
+    for kind in kinds:
         names = [name for name in known_interfaces() if name.split("/")[1] == kind]
         say(f"{KINDS[kind]}:\n")
         say("".join(f"    {each}\n" for each in names))
 
 
-@verb(app, knows=True)
+@verb(app, knows=True, bundles=BY_KIND)
 def package(
     name: Annotated[
         str, argument("PACKAGE", "The package, such as geometry_msgs.", completion.packages)
     ],
     *,
-    msgs: Messages = False,
-    srvs: Services = False,
-    actions: Actions = False,
+    kinds: list[str],
 ) -> None:
     """List the interfaces of a package."""
     _check_package(name)
-    known = _by_package(_kinds(msgs=msgs, srvs=srvs, actions=actions))
-    say("".join(f"{each}\n" for each in known.get(name, ())))
+    say("".join(f"{each}\n" for each in _by_package(kinds).get(name, ())))
 
 
-@verb(app, knows=True)
-def packages(*, msgs: Messages = False, srvs: Services = False, actions: Actions = False) -> None:
+@verb(app, knows=True, bundles=BY_KIND)
+def packages(*, kinds: list[str]) -> None:
     """List the packages that have interfaces."""
-    known = _by_package(_kinds(msgs=msgs, srvs=srvs, actions=actions))
-    say("".join(f"{each}\n" for each in known))
+    say("".join(f"{each}\n" for each in _by_package(kinds)))
 
 
 @verb(app, knows=True)
@@ -214,12 +220,6 @@ def show(
 
     look = _print_learned if is_type else _print_action
     return graph.run(reach, lambda node: look(node, name, print_type))
-
-
-def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
-    """Return the kinds that the user wants; all if none is given."""
-    given = {"msg": msgs, "srv": srvs, "action": actions}
-    return [kind for kind, is_wanted in given.items() if is_wanted] or [*KINDS]
 
 
 def _check_package(package: str) -> None:

@@ -74,9 +74,6 @@ QOS = "Quality of service"
 MOST_DOMAIN = 232
 """The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
 
-MOST_DIGITS = 18
-"""The maximum number of digits of a whole number, so that it fits 64 bits."""
-
 _SPAN = re.compile(r"(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?) *(?P<unit>s|min|h|d)")
 UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
@@ -172,19 +169,25 @@ ShowTypes = Annotated[bool, flag("--show-types", "-t", text="Print the types too
 Embedded = Annotated[bool, flag("--embedded", text="Start a world in this process.")]
 
 
-def ros_domain(given: str | int) -> int:
-    """Parse a ROS domain.
+def _whole(problem: str, most: int) -> Callable[[str | int], int]:
+    """Return a parser of whole numbers. The error for other texts ends with ``problem``.
 
-    This is a parser for ``typer.Option(parser=...)``, like `seconds`, `hertz`, `speed` and `whole`.
-    Typer also passes the default of an option to its parser, and a default may be a number.
-
-    Raises:
-        typer.BadParameter: if the text is not a whole number from 0 to `MOST_DOMAIN`.
+    This makes parsers for ``typer.Option(parser=...)``, as `_number` does. Typer also passes the
+    default of an option to its parser, and a default may be a number.
     """
-    text = str(given)
-    if not (text.isascii() and text.isdigit() and len(text) <= 3 and int(text) <= MOST_DOMAIN):
-        raise typer.BadParameter(f"{quoted(text)} is not a ROS domain, 0 to {MOST_DOMAIN}")
-    return int(text)
+
+    def parse(given: str | int) -> int:
+        text = str(given)
+        if not (re.fullmatch("[0-9]{1,18}", text) and int(text) <= most):
+            raise typer.BadParameter(f"{quoted(text)} {problem}")
+        return int(text)
+
+    return parse
+
+
+ros_domain = _whole(f"is not a ROS domain, 0 to {MOST_DOMAIN}", MOST_DOMAIN)
+# A number of so many digits fits 64 bits.
+whole = _whole("is not a whole number, 0 or more, of 18 digits at most", 10**18)
 
 
 def _reach(
@@ -496,15 +499,6 @@ def or_max(parse: Callable[[str], float]) -> Callable[[str], float | str]:
             raise typer.BadParameter(f"{error.message}, or max") from None
 
     return parse_either
-
-
-def whole(given: str | int) -> int:
-    """Parse a whole number, 0 or more, of at most `MOST_DIGITS` digits."""
-    text = str(given)
-    if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
-        problem = f"is not a whole number, 0 or more, of {MOST_DIGITS} digits at most"
-        raise typer.BadParameter(f"{quoted(text)} {problem}")
-    return int(text)
 
 
 def _finite(given: str | float) -> float:

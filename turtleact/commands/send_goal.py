@@ -248,23 +248,28 @@ class GoalSender:
             await anyio.sleep(AGAIN)
 
     async def _find_action(self, node: Node) -> type[Action]:
-        """Return the class of the action.
+        """Return the class of the action. If it has several types, the user's or the first one.
 
         Raises:
             ServerUnavailable: if nobody serves the action with the wanted type. If nobody serves
                 the action with any type, the message suggests a similar action, or lists the
                 actions that are served.
-            TurtleactError: if the type is unknown in this process, or is not an action.
+            TurtleactError: if the type is unknown in this process and cannot be learned, or is not
+                an action.
         """
-        actions = node.graph().actions
-        if self._name in actions:
-            return await _find_class(node, self._name, self._request)
-        if self._request.reach is None:
+        name, request, actions = self._name, self._request, node.graph().actions
+        if name not in actions:
+            if request.reach is not None:
+                raise graph.not_served(name, actions)
             hint = "--embedded, --speed and --seed use no other server"
-            raise graph.not_served(
-                self._name, actions, "the embedded world does not serve it", hint
-            )
-        raise graph.not_served(self._name, actions)
+            raise graph.not_served(name, actions, "the embedded world does not serve it", hint)
+        found = await graph.chosen_class(
+            node, "action", Action, name, request.type_name, request.timeout
+        )
+        if found.type_name not in actions[name]:
+            types = " and ".join(actions[name])
+            raise ServerUnavailable(name, f"it is served as {types}, not as {found.type_name}")
+        return found
 
     async def _send(self, node: Node, action_type: type[Action], goal: Message) -> int:
         self._printer.sending(goal)
@@ -453,25 +458,3 @@ async def _find_served(node: Node, name: str | None = None) -> bool:
         return (bool(actions) if name is None else name in actions) or None
 
     return await find_server(node.transport, found) is not None
-
-
-async def _find_class(node: Node, name: str, request: GoalRequest) -> type[Action]:
-    """Return the class of a served action.
-
-    If the user typed no type and the action has several types, the first type is used.
-
-    Raises:
-        ServerUnavailable: if nobody serves the action with that type. The message names the
-            action's types.
-        UnknownInterface: if the type that the user typed is unknown.
-        TurtleactError: if the type on the graph is unknown in this process, and cannot be learned.
-    """
-    types = node.graph().actions[name]
-    found = await graph.chosen_class(
-        node, "action", Action, name, request.type_name, request.timeout
-    )
-    if found.type_name not in types:
-        raise ServerUnavailable(
-            name, f"it is served as {' and '.join(types)}, not as {found.type_name}"
-        )
-    return found
