@@ -16,9 +16,9 @@ import warnings
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextvars import copy_context
 from functools import partial
-from inspect import CO_COROUTINE
-from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeAlias, TypeVar
+from inspect import iscoroutinefunction
+from types import FrameType, TracebackType
+from typing import Any, Final, Generic, NoReturn, TypeAlias, TypeVar
 
 import anyio
 import anyio.lowlevel
@@ -66,8 +66,6 @@ __all__ = [
 ]
 
 logger = logging.getLogger("turtleact.client")
-
-_SUCCEEDED: Final = GoalStatus.SUCCEEDED  # Python 3.11 looks up an enum's members slowly
 
 SILENCE: Final = 5.0
 """How long a client waits for a server before it logs one warning (s, event loop time)."""
@@ -159,7 +157,7 @@ class ActionClient(Generic[G, R, F]):
             TurtleactError: (when awaited or entered) if the client is closed or belongs to another
                 event loop, or if the returned object was awaited or entered before.
         """
-        if feedback_callback is not None and _is_coroutine_function(feedback_callback):
+        if feedback_callback is not None and iscoroutinefunction(feedback_callback):
             problem = "must be a plain function: it is called, not awaited, for each message"
             raise InvalidOption("feedback_callback", problem)
         named = None if goal_id is None else goal_id_bytes(goal_id)
@@ -169,8 +167,7 @@ class ActionClient(Generic[G, R, F]):
             if named is None:  # reattaching finds the goal by its id
                 named = new_goal_id()
         request = GoalRequest(goal, self, named, on_feedback, reattach)
-        caller = sys._getframe(1)
-        return SendGoal(self, request, caller.f_code, caller.f_lasti)
+        return SendGoal(self, request, sys._getframe(1))
 
     def attach(self, goal_id: bytes | uuid.UUID) -> Attach[R, F]:
         """Attach to a goal that somebody else sent: ``await`` this or use ``async with``.
@@ -342,7 +339,7 @@ class ActionClient(Generic[G, R, F]):
         while request.reattach and isinstance(goal.error, ServerUnavailable):
             server, goal = await self._reattach(request, goal.error)
             await self._wait(server, goal, goal.wait_for_end)
-        if goal.status is _SUCCEEDED:
+        if goal.status is GoalStatus.SUCCEEDED:
             return goal.result  # type: ignore[return-value]  # the server checked it
         raise failure(goal)
 
@@ -440,20 +437,7 @@ class ActionClient(Generic[G, R, F]):
             del self._canceling[goal.id]
 
 
-if TYPE_CHECKING:
-
-    class _Calling(Coroutine[Any, Any, R], Generic[R]):
-        """The base class of `SendGoal` for type checkers."""
-
-        def __init__(self, *parts: object) -> None: ...
-
-else:
-
-    class _Calling(msgspec.Struct, Generic[R], eq=False):
-        """The base class of `SendGoal` at runtime: a struct cannot inherit from ``Coroutine``."""
-
-
-class SendGoal(_Calling[R], Generic[G, R, F]):
+class SendGoal(Coroutine[Any, Any, R], Generic[G, R, F]):
     """A goal that is about to be sent. You can send it only once.
 
     ``await`` sends the goal and returns its result. If the waiting task is cancelled, the client
@@ -469,12 +453,14 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     warns as it does for a forgotten coroutine.
     """
 
-    _client: ActionClient[G, R, F]
-    _request: GoalRequest | None
-    _code: CodeType
-    _offset: int
-    _handle: ClientGoalHandle[R, F] | None = None
-    _calling: Coroutine[object, object, R] | None = None
+    def __init__(
+        self, client: ActionClient[G, R, F], request: GoalRequest, caller: FrameType
+    ) -> None:
+        self._client = client
+        self._request: GoalRequest | None = request
+        self._place = caller.f_code.co_filename, caller.f_lineno
+        self._handle: ClientGoalHandle[R, F] | None = None
+        self._calling: Coroutine[object, object, R] | None = None
 
     def __repr__(self) -> str:
         state = "already sent" if self._request is None else "not yet sent"
@@ -488,9 +474,6 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         )
 
     def __await__(self) -> Generator[object, object, R]:
-        client = self._client
-        if not client.observers.want_calls:
-            return client._run(self._take_request()).__await__()
         return self._start().__await__()
 
     def send(self, value: object) -> object:
@@ -548,18 +531,12 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 
     def __del__(self) -> None:
         if self._request is not None:
-            # The line is computed here and not in `send_goal`, because most goals are sent.
-            lines = (lines for *ends, lines in self._code.co_lines() if self._offset < ends[1])
             warnings.warn_explicit(
                 f"the goal for '{self._client.name}' was never sent: await the object that "
                 "send_goal returns, or use it with 'async with'",
                 RuntimeWarning,
-                self._code.co_filename,
-                next(lines, None) or self._code.co_firstlineno,
+                *self._place,
             )
-
-
-Coroutine.register(SendGoal)
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
@@ -647,9 +624,3 @@ class _Relay(GoalObserver):
     def noted(self, goal: Goal, news: News) -> None:
         if goal.sender is self._client:
             self._observers.noted(goal, news)
-
-
-def _is_coroutine_function(callback: object) -> bool:
-    """Do what `inspect.iscoroutinefunction` does, but faster, for functions and methods."""
-    code = getattr(callback, "__code__", None)
-    return code is not None and bool(code.co_flags & CO_COROUTINE)
