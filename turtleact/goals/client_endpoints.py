@@ -42,7 +42,6 @@ from turtleact.names import ActionNames
 from turtleact.transports.base import (
     STATUS_QOS,
     Caller,
-    CallObserver,
     Closeable,
     Format,
     MakeEndpoint,
@@ -134,8 +133,6 @@ class ClientEndpoints:
         self._names = names
         self._introspection = introspection
         self._opened: list[Closeable] = []
-        self._events: list[CallObserver] = []
-        self._canceling = 0  # cancel requests under way
         self._watches_status = self._watches_paused = False
         self._goals = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         self._cancels = anyio.Semaphore(AT_ONCE, fast_acquire=True)
@@ -182,13 +179,8 @@ class ClientEndpoints:
         """
         # A client that has just come may know a server's other services before this one.
         await find_server(self.transport, lambda: self._cancel_goal.is_served or None)
-        self._canceling += 1
-        try:
-            async with nullcontext() if self.is_ours else self._cancels:
-                return await self._cancel_goal.call(request)
-        finally:
-            self._canceling -= 1
-            self._close_events()
+        async with nullcontext() if self.is_ours else self._cancels:
+            return await self._cancel_goal.call(request)
 
     async def set_paused(self, goal: Goal, *, is_paused: bool, timeout: float = 0.0) -> None:
         """Pause or resume a goal. Only turtleact servers offer a service for pausing.
@@ -308,22 +300,10 @@ class ClientEndpoints:
         self._lost.add(count)
 
     def close(self) -> None:
-        """Close the endpoints.
-
-        If a cancel request has already been sent, the client still waits for the reply and
-        publishes the events of the request.
-        """
+        """Close the endpoints."""
         for opened in reversed(self._opened):
             opened.close()
         self._opened.clear()
-        self._close_events()
-
-    def _close_events(self) -> None:
-        """Stop publishing events, if the client is closed and no cancel request is under way."""
-        if not (self._opened or self._canceling):
-            for each in self._events:
-                each.close()
-            self._events.clear()
 
     def _join(
         self, name: str, type_name: str, find_type: Callable[[], type[Service]], target: Target
@@ -333,7 +313,7 @@ class ClientEndpoints:
         mode, maker = self._introspection, self._endpoint
         events = service_events(self.transport, maker, endpoint, find_type, mode)
         if events is not None:
-            self._events.append(events)
+            self._opened.append(events)
         caller = self.transport.join(endpoint, WireFormat(find_type, asks=True), target)
         caller.observer = events
         self._opened.append(caller)
