@@ -184,9 +184,8 @@ class Declaration:
     Args:
         context: The transport's context.
         token: The liveliness token.
-        declare: Declares everything except the liveliness token. It is called in the thread of the
-            send queue.
-        undeclare: Undeclares everything except the liveliness token, in the same thread.
+        declare: Declares what the endpoint sends or receives with, and returns it. It is called in
+            the thread of the send queue. A node has nothing but its token.
         on_demand: The name of an endpoint. The endpoint of this object is declared only when
             another process has an endpoint with the name ``on_demand``. If ``on_demand`` is empty,
             the endpoint is declared at once.
@@ -201,8 +200,7 @@ class Declaration:
         self,
         context: Context,
         token: str,
-        declare: Callable[[], None] | None = None,
-        undeclare: Callable[[], None] | None = None,
+        declare: Callable[[], Declared] | None = None,
         *,
         on_demand: str = "",
         on_wake: Callable[[], None] | None = None,
@@ -211,9 +209,8 @@ class Declaration:
         self._context = context
         self._token = token
         self._declare = declare
-        self._undeclare = undeclare
         self._on_wake = on_wake
-        self._declared: Declared | None = None
+        self._declared: list[Declared] = []  # the token is the last one
         self._waiting: Closeable | None = None
         if on_demand and not context.demand.has(on_demand):
             self._waiting = context.demand.call_when_sought(on_demand, self._wake)
@@ -227,26 +224,23 @@ class Declaration:
 
     def _appear(self) -> None:
         self.is_pending = False
-        if self._declare is not None:
-            self._context.send_queue.post(self._declare)
-        self._context.send_queue.post(self._declare_token)
+        self._context.send_queue.post(self._declare_all)
 
     def close(self) -> None:
         """Undeclare the endpoint or node, so that it leaves the graph."""
         if not self.is_pending:
-            self._context.send_queue.post(self._undeclare_token)
-            if self._undeclare is not None:
-                self._context.send_queue.post(self._undeclare)
+            self._context.send_queue.post(self._undeclare_all)
         elif self._waiting is not None:
             self._waiting.close()
 
-    def _declare_token(self) -> None:
-        self._declared = self._context.session.declare_token(self._token)
+    def _declare_all(self) -> None:
+        if self._declare is not None:
+            self._declared.append(self._declare())
+        self._declared.append(self._context.session.declare_token(self._token))
 
-    def _undeclare_token(self) -> None:
-        if self._declared is not None:
-            self._declared.undeclare()
-            self._declared = None
+    def _undeclare_all(self) -> None:
+        while self._declared:
+            self._declared.pop().undeclare()
 
 
 class Opened:

@@ -107,7 +107,7 @@ class WireCaller:
         name: The name of the service.
         counts: See `turtleact.transports.base.Target`.
         is_matching: Whether Zenoh knows of a server in another process.
-        querier: The declared querier; None before it is declared and after it is undeclared.
+        querier: The declared querier; None before it is declared.
         declaration: Declares the client to other processes.
     """
 
@@ -137,7 +137,7 @@ class WireCaller:
         self.is_matching = False
         self.querier: Querier | None = None
         self._near: Caller = context.near.join(endpoint, format)
-        self.declaration = Declaration(context, named.token, self._declare, self._undeclare)
+        self.declaration = Declaration(context, named.token, self._declare)
         context.opened.add(self)
 
     @property
@@ -268,15 +268,11 @@ class WireCaller:
 
     # called in the thread of the send queue
 
-    def _declare(self) -> None:
+    def _declare(self) -> Querier:
         is_for_all = self._target.servers == "all"
         session = self._context.session
         self.querier = session.declare_querier(self._key, self._matching, is_for_all=is_for_all)
-
-    def _undeclare(self) -> None:
-        if self.querier is not None:
-            self.querier.undeclare()
-            self.querier = None
+        return self.querier
 
 
 class _Call(msgspec.Struct, eq=False):
@@ -383,10 +379,9 @@ class WireService:
         self._format = format
         self._named = named
         self._offers: list[tuple[ServiceHandler, Closeable]] = []
-        self._declared: Declared | None = None
         self.is_open = True
         self.declaration = Declaration(
-            context, named.token, self._declare, self._undeclare, on_demand=named.on_demand
+            context, named.token, self._declare, on_demand=named.on_demand
         )
         context.opened.add(self)
 
@@ -473,12 +468,8 @@ class WireService:
 
     # called in the thread of the send queue
 
-    def _declare(self) -> None:
+    def _declare(self) -> Declared:
         push = self._context.receive_queue.push
-        self._declared = self._context.session.declare_queryable(
+        return self._context.session.declare_queryable(
             self._named.key, lambda query: push(partial(self._begin, query))
         )
-
-    def _undeclare(self) -> None:
-        if self._declared is not None:
-            self._declared.undeclare()

@@ -150,7 +150,6 @@ class WirePublication(Source):
             context,
             named.token,
             self._declare,
-            self._undeclare,
             on_demand=wakes,
             on_wake=self.refresh,
         )
@@ -223,6 +222,7 @@ class WirePublication(Source):
         self._near.close()
         self._sent.fire()
         self.declaration.close()
+        self._context.send_queue.post(lambda: self._context.latched.discard(self._gid))
         self._context.opened.discard(self)
 
     # readers
@@ -309,7 +309,7 @@ class WirePublication(Source):
 
     # called in the thread of the send queue
 
-    def _declare(self) -> None:
+    def _declare(self) -> Publisher:
         session, is_reliable = self._context.session, self._qos.reliability == "reliable"
         if self.is_latched:
             self._context.latched.add(self._gid)
@@ -320,6 +320,7 @@ class WirePublication(Source):
             self.publisher = session.declare_publisher(
                 self._key, is_reliable=is_reliable, matching=self._matching
             )
+        return self.publisher
 
     def _put(self) -> None:
         try:
@@ -330,11 +331,6 @@ class WirePublication(Source):
             if self._is_awaited and self._unsent.weight <= RELIEVED:
                 self._is_awaited = False
                 self._context.tasks.from_anywhere(self._sent.fire)
-
-    def _undeclare(self) -> None:
-        if self.publisher is not None:
-            self.publisher.undeclare()
-        self._context.latched.discard(self._gid)
 
 
 class WireSubscription:
@@ -372,11 +368,8 @@ class WireSubscription:
         self._on_gap = on_gap
         self._is_latched = endpoint.qos.durability == "transient_local"
         self._counts: dict[bytes, int] = {}  # the newest sequence number of each publisher
-        self._declared: Declared | None = None
         near = context.near.subscribe(endpoint, format, deliver)
-        declaration = Declaration(
-            context, named.token, self._declare, self._undeclare, on_demand=named.on_demand
-        )
+        declaration = Declaration(context, named.token, self._declare, on_demand=named.on_demand)
         self._opened = Opened(context, near, declaration)
 
     def close(self) -> None:
@@ -424,18 +417,13 @@ class WireSubscription:
 
     # called in the thread of the send queue
 
-    def _declare(self) -> None:
+    def _declare(self) -> Declared:
         session = self._context.session
         if self._is_latched:
-            self._declared = session.declare_latched_subscriber(
+            return session.declare_latched_subscriber(
                 self._key, self._receive, depth=self._qos.depth
             )
-        else:
-            self._declared = session.declare_subscriber(self._key, self._receive)
-
-    def _undeclare(self) -> None:
-        if self._declared is not None:
-            self._declared.undeclare()
+        return session.declare_subscriber(self._key, self._receive)
 
 
 def _queue_for(endpoint: Endpoint, what: str) -> BoundedQueue[Any]:
