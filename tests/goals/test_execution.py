@@ -751,39 +751,13 @@ class Source:
                 return before
 
 
-async def test_a_body_that_was_held_up_goes_on_with_its_reader():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        read = []
-        async for message in handle:
-            read.append(message.so_far[0])
-            if len(read) in {1, 500, 2000}:
-                await source.settle()
-        assert (read, handle.missed) == (list(range(MANY)), 0)
-
-
 async def test_a_client_that_only_awaits_the_result_does_not_hold_the_body_up(send):
-    source = Source()
-    async with lab(source.stream) as served:
-        assert (await send(served, goal())).result == result(MANY)
+    async def body(request):
+        for number in range(5 * FeedbackLog.KEPT):
+            yield feedback(number)
+        yield result(1)
 
-
-async def test_a_client_that_begins_to_read_late_misses_only_what_is_old():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        await handle.result()
-        read = [message.so_far[0] async for message in handle]
-        assert read == list(range(MANY - len(read), MANY))
-        assert handle.missed == MANY - len(read)
-        assert FeedbackLog.KEPT <= len(read) < 2 * FeedbackLog.KEPT
-
-
-async def test_a_reader_that_begins_again_goes_on_where_it_broke_off():
-    async with lab(published_by_a_generator) as served, served.client.send_goal(goal()) as handle:
-        async for message in handle:
-            assert message == SNAPSHOTS[0]
-            break
-        assert [message async for message in handle] == SNAPSHOTS[1:]
+    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
 
 
 async def test_a_body_that_only_yields_lets_others_run():

@@ -12,7 +12,14 @@ import pytest
 
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
-from turtleact.errors import Abort, GoalAborted, GoalCanceled, GoalRejected, InvalidOption
+from turtleact.errors import (
+    Abort,
+    GoalAborted,
+    GoalCanceled,
+    GoalRejected,
+    InvalidOption,
+    ServerUnavailable,
+)
 from turtleact.goals.state import GoalRequest
 from turtleact.interfaces import implied
 from turtleact.interfaces.standard import UUID
@@ -80,54 +87,44 @@ async def test_a_hook_hears_of_each_change_of_a_goal(send, body, changes):
         assert journal.changes == {1: [ACCEPT, EXECUTE, *changes]}
 
 
-async def test_a_hook_hears_of_a_goal_that_waits_for_its_turn():
+async def let_them_end(served, gate, sent):
+    gate.opened.set()
+    for each in sent:
+        await each.outcome()
+
+
+async def cancel_the_last(served, gate, sent):
+    await sent[-1].cancel()
+
+
+async def close_the_server(served, gate, sent):
+    await served.server.aclose()
+
+
+async def do_nothing(served, gate, sent):
+    await settle()
+
+
+@pytest.mark.parametrize(
+    ("policy", "act", "changes"),
+    [
+        ("queue", let_them_end, [[ACCEPT, EXECUTE, SUCCEED]] * 2),
+        ("queue", cancel_the_last, [[ACCEPT, EXECUTE], [ACCEPT, CANCEL_WAITING, CANCELED]]),
+        ("queue", close_the_server, [[ACCEPT, EXECUTE, ABORT]] * 2),
+        ("preempt", do_nothing, [[ACCEPT, EXECUTE, ABORT]] * 2 + [[ACCEPT, EXECUTE]]),
+    ],
+)
+async def test_a_hook_hears_of_goals_that_wait_for_their_turn(policy, act, changes):
     gate = Gate()
-    async with lab(gate.wait, policy="queue") as served:
+    async with lab(gate.wait, policy=policy) as served, contextlib.AsyncExitStack() as stack:
         journal = Journal(served.node)
-        async with (
-            served.client.send_goal(goal(1)) as first,
-            served.client.send_goal(goal(2)) as second,
-        ):
-            await settle()
-            assert journal.changes == {1: [ACCEPT, EXECUTE], 2: [ACCEPT]}
-            gate.opened.set()
-            await first.result()
-            await second.result()
-        assert journal.changes == {number: [ACCEPT, EXECUTE, SUCCEED] for number in (1, 2)}
-
-
-async def test_a_hook_hears_of_a_goal_that_is_canceled_while_it_waits():
-    async with lab(Gate().wait, policy="queue") as served:
-        journal = Journal(served.node)
-        async with served.client.send_goal(goal(1)), served.client.send_goal(goal(2)) as second:
-            await second.cancel()
-            assert journal.changes[2] == [ACCEPT, CANCEL_WAITING, CANCELED]
-
-
-async def test_a_hook_hears_of_goals_that_are_preempted():
-    async with lab(Gate().wait, policy="preempt") as served:
-        journal = Journal(served.node)
-        async with (
-            served.client.send_goal(goal(1)),
-            served.client.send_goal(goal(2)),
-            served.client.send_goal(goal(3)),
-        ):
-            await settle()
-            assert journal.changes == {
-                1: [ACCEPT, EXECUTE, ABORT],
-                2: [ACCEPT, EXECUTE, ABORT],
-                3: [ACCEPT, EXECUTE],
-            }
-
-
-async def test_a_hook_hears_of_goals_that_end_with_their_server():
-    async with lab(Gate().wait, policy="queue") as served:
-        journal = Journal(served.node)
-        for number in (1, 2):
-            async with served.client.send_goal(goal(number)) as handle:
-                handle.detach()
-        await served.server.aclose()
-        assert journal.changes == {number: [ACCEPT, EXECUTE, ABORT] for number in (1, 2)}
+        sending = [served.client.send_goal(goal(number)) for number in range(len(changes))]
+        sent = [await stack.enter_async_context(each) for each in sending]
+        await settle()
+        if policy == "queue":
+            assert journal.changes == {0: [ACCEPT, EXECUTE], 1: [ACCEPT]}
+        await act(served, gate, sent)
+        assert list(journal.changes.values()) == changes
 
 
 async def test_a_hook_hears_nothing_of_a_goal_that_is_rejected(send):
@@ -278,6 +275,8 @@ async def test_a_hook_may_have_goals_sent():
         ("queue", GoalStatus.ACCEPTED),
         ("preempt", GoalStatus.ACCEPTED),
         ("parallel", GoalStatus.SUCCEEDED),
+        ("queue", GoalStatus.SUCCEEDED),
+        ("preempt", GoalStatus.SUCCEEDED),
     ],
 )
 async def test_a_hook_may_send_a_goal_itself(policy, state):
@@ -350,33 +349,27 @@ async def test_a_feedback_callback_of_a_goal_that_waits_runs_in_the_context_of_i
 # --- clients that are lost ----------------------------------------------------------------------
 
 
-async def test_goals_are_canceled_with_their_client_where_the_server_says_so():
-    async with (
-        lab(Gate().wait, on_client_lost="cancel") as served,
-        served.client.send_goal(goal()) as handle,
-    ):
-        await served.client.aclose()
-        assert (await handle.outcome()).status is GoalStatus.CANCELED
+async def send_by(client, way):
+    """Send a goal in some way, and wait for its result."""
+    if way == "awaited":
+        return await client.send_goal(goal(7))
+    async with client.send_goal(goal(7)) as handle:
+        if way == "entered":
+            return await handle.result()
+        handle.detach()
+    return await handle.result()
 
 
-async def test_an_awaited_goal_is_canceled_with_its_client():
-    async with (
-        lab(Gate().wait, on_client_lost="cancel") as served,
-        running(lambda: served.client.send_goal(goal())) as sent,
-    ):
-        await served.client.aclose()
-        await sent.done.wait()
-        assert isinstance(sent.error, GoalCanceled)
-
-
-async def test_a_detached_goal_is_canceled_with_its_client():
+@pytest.mark.parametrize("way", ["awaited", "entered", "detached"])
+async def test_goals_are_canceled_with_their_client_where_the_server_says_so(where, way):
     gate = Gate()
-    async with lab(gate.wait, on_client_lost="cancel") as served:
-        async with served.client.send_goal(goal()) as handle:
-            handle.detach()
+    async with where(gate.wait, on_client_lost="cancel") as served:
+        async with running(lambda: send_by(served.client, way)) as sent:
             await gate.started.wait()
-        await served.client.aclose()
+            await served.client.aclose()
+            await sent.done.wait()
         await settle()
+        assert isinstance(sent.error, GoalCanceled if where is lab else ServerUnavailable)
         assert gate.log == ["begun", "canceled", "over"]
 
 
@@ -406,22 +399,16 @@ async def test_a_client_may_leave_while_its_goal_is_with_the_goal_callback(way, 
         begun.append(request.upto)
         return result()
 
-    async def send():
-        if way == "awaited":
-            return await served.client.send_goal(goal())
-        async with served.client.send_goal(goal()) as handle:
-            return await handle.result()
-
     async with (
         lab(act, goal_callback=ask, on_client_lost=loss) as served,
-        running(send) as sent,
+        running(lambda: send_by(served.client, way)) as sent,
     ):
         await asked.wait()
         await served.client.aclose()
         answered.set()
         await sent.done.wait()
     if loss == "keep":
-        assert (sent.value, begun) == (result(), [3])
+        assert (sent.value, begun) == (result(), [7])
     else:
         assert isinstance(sent.error, GoalRejected)
         assert (str(sent.error), begun) == ("the goal was rejected: its client has gone", [])
@@ -489,17 +476,7 @@ async def test_goals_are_canceled_with_the_node_of_their_client():
 async def test_goals_outlive_their_client_unless_the_server_says_otherwise(options, way):
     gate = Gate()
     async with lab(gate.wait, **options) as served:
-
-        async def call():
-            if way == "awaited":
-                return await served.client.send_goal(goal(7))
-            async with served.client.send_goal(goal(7)) as handle:
-                if way == "entered":
-                    return await handle.result()
-                handle.detach()
-            return await handle.result()
-
-        async with running(call) as sent:
+        async with running(lambda: send_by(served.client, way)) as sent:
             await served.client.aclose()
             await settle()
             assert not sent.done.is_set()
@@ -572,19 +549,3 @@ async def test_a_later_hook_hears_of_changes_in_order_although_an_earlier_one_ma
         served.node.on_transition(lambda handle, old, new: heard.append((old.name, new.name)))
         await send(served, goal(1))
         assert heard == [ACCEPT, EXECUTE, CANCEL, CANCELED]
-
-
-@pytest.mark.parametrize("policy", ["queue", "preempt"])
-async def test_a_hook_may_send_a_goal_at_the_end_of_another(policy):
-    async with lab(count, policy=policy) as served:
-        journal = Journal(served.node)
-
-        def hook(handle, old, new):
-            if handle.request.upto and new is GoalStatus.SUCCEEDED:
-                served.local.accept(GoalRequest(goal(0), None))
-
-        served.node.on_transition(hook)
-        async with served.client.send_goal(goal(1)) as handle:
-            assert (await handle.outcome()).reason == ""
-        await settle()
-        assert journal.changes[0] == [ACCEPT, EXECUTE, ("EXECUTING", "SUCCEEDED")]

@@ -812,31 +812,21 @@ async def say_something(request):
     yield result(request.upto)
 
 
-@pytest.mark.parametrize("way", ["awaited", "entered"])
-async def test_a_goal_sent_by_a_feedback_callback_is_not_a_child(way):
-    async with anyio.create_task_group() as group, lab(say_something, policy="queue") as served:
+@pytest.mark.parametrize(("by", "times"), [("feedback", 1), ("hook", 3), ("goal", 1)])
+async def test_a_goal_sent_by_a_callback_is_not_a_child(send, by, times):
+    async with anyio.create_task_group() as group:
         errands = Errands(group)
-        errands.served = served
-        sending = served.client.send_goal(goal(1), feedback_callback=errands.on_feedback)
-        if way == "awaited":
-            await sending
-        else:
-            async with sending as handle:
-                await handle.result()
-        await settle()
-    assert errands.outcomes == [succeeded(9)]
-
-
-async def test_a_goal_sent_by_a_hook_is_not_a_child(send):
-    async with anyio.create_task_group() as group, lab(say_something, policy="queue") as served:
-        errands = Errands(group)
-        errands.served = served
-        served.node.on_transition(errands.on_transition)
-        await send(served, goal(1))
-        await settle()
-        async with sending(send, served, 2):
-            pass  # behind the errands
-    assert errands.outcomes == [succeeded(9)] * 3
+        options: dict[str, Any] = {"goal_callback": errands.on_goal} if by == "goal" else {}
+        async with lab(say_something, policy="queue", **options) as served:
+            errands.served = served
+            if by == "hook":
+                served.node.on_transition(errands.on_transition)
+            listen = errands.on_feedback if by == "feedback" else None
+            assert await send(served, goal(1), feedback_callback=listen) == succeeded(1)
+            await settle()
+            async with sending(send, served, 2):
+                pass  # behind the errands
+    assert errands.outcomes == [succeeded(9)] * times
 
 
 async def test_a_goal_sent_by_a_hook_is_not_a_child_of_the_one_that_caused_the_change():
@@ -855,17 +845,6 @@ async def test_a_goal_sent_by_a_hook_is_not_a_child_of_the_one_that_caused_the_c
             assert await served.client.send_goal(goal(5)) == result(5)
             await settle()
     assert errands.outcomes == [succeeded(9)] * 3
-
-
-async def test_a_goal_sent_by_a_goal_callback_is_not_a_child(send):
-    async with anyio.create_task_group() as group:
-        errands = Errands(group)
-        options: dict[str, Any] = {"policy": "queue", "goal_callback": errands.on_goal}
-        async with lab(say_something, **options) as served:
-            errands.served = served
-            assert await send(served, goal(1)) == succeeded(1)
-            await settle()
-    assert errands.outcomes == [succeeded(9)]
 
 
 # --- canceled at every point ----------------------------------------------------------------

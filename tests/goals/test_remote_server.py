@@ -150,26 +150,6 @@ async def test_an_attached_reader_hears_what_comes():
 # --- when one side goes -------------------------------------------------------------------------
 
 
-async def test_goals_are_canceled_with_their_client_where_the_server_says_so():
-    gate = Gate()
-    async with apart(gate.wait, on_client_lost="cancel") as served:
-        async with served.client.send_goal(goal()) as handle:
-            handle.detach()
-            await gate.started.wait()
-        await served.client.aclose()
-        await settle()
-        assert gate.log == ["begun", "canceled", "over"]
-        with pytest.raises(ServerUnavailable, match="the client was closed"):
-            await handle.outcome()
-
-
-async def test_a_closed_client_sends_nothing(send):
-    async with apart(count) as served:
-        await served.client.aclose()
-        with pytest.raises(turtleact.errors.TurtleactError, match="is closed: open another"):
-            await send(served, goal())
-
-
 @pytest.mark.parametrize("turns", range(4))
 async def test_whenever_a_client_is_closed_all_its_goals_say_so(send, turns):
     """Some wait for their turn, some for their acceptance, some for their end."""
@@ -223,10 +203,12 @@ async def failing(sending: Any) -> None:
         await sending
 
 
-async def test_a_goal_whose_client_was_closed_cannot_be_canceled():
+async def test_a_closed_client_sends_nothing_and_cancels_nothing():
     gate = Gate()
     async with apart(gate.wait) as served, served.client.send_goal(goal()) as handle:
         await served.client.aclose()
+        with pytest.raises(TurtleactError, match="is closed: open another"):
+            await served.client.send_goal(goal())
         with pytest.raises(ServerUnavailable, match="action '/count': the client was closed"):
             await handle.cancel()
         gate.opened.set()
@@ -256,17 +238,6 @@ async def test_nothing_is_left_of_goals_that_have_ended(send):
         await settle()
         assert remote_goals_in_memory() <= before
         assert served.active == []
-
-
-async def test_many_goals_at_once(send):
-    async with apart(count) as served, anyio.create_task_group() as group:
-
-        async def check(number: int) -> None:
-            outcome = await send(served, goal(number % 7))
-            assert outcome.result == result(*range(number % 7))
-
-        for number in range(100):
-            group.start_soon(check, number)
 
 
 # --- servers that die ---------------------------------------------------------------------------

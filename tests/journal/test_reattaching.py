@@ -23,7 +23,7 @@ from turtleact.goals.observers import GoalObserver
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .. import warm
-from ..lab import Apart, Count, Gate, feedback, goal, result, running, settle
+from ..lab import Apart, Count, Gate, Running, feedback, goal, result, running, settle
 
 PROGRAM = Path(__file__).with_name("durable_server.py")
 
@@ -124,21 +124,15 @@ async def test_an_awaited_goal_survives_a_restart(tmp_path, see: Callable[[Memor
     restarted = Restarted(transport, tmp_path / "goals.db", gate.stream)
     async with turtleact.open_node("near", transport=see(transport)) as node:
         client = node.action_client(Count, "count")
-        async with anyio.create_task_group() as group:
+        seen = list[object]()
+        sending = client.send_goal(goal(), reattach=30.0, feedback_callback=seen.append)
+        async with running(lambda: sending) as sent:
             async with restarted.serving():
-                results, seen = list[object](), list[object]()
-
-                async def send() -> None:
-                    sent = client.send_goal(goal(), reattach=30.0, feedback_callback=seen.append)
-                    results.append(await sent)
-
-                group.start_soon(send)
                 await gate.started.wait()
             async with restarted.serving():
                 gate.opened.set()
-                while not results:
-                    await settle()
-        assert results == [result(3)]
+                await sent.done.wait()
+        assert sent.value == result(3)
         if see is Apart:  # the new server has published before a client in its process can attach
             assert seen == [feedback(0), feedback(0)]
 
@@ -204,19 +198,11 @@ async def test_a_server_that_stays_away_is_given_up(tmp_path):
         async with running(lambda: client.send_goal(goal(), reattach=0.01)) as sent:
             pass
         assert isinstance(sent.error, ServerUnavailable)
-        async with anyio.create_task_group() as group:
-            errors = list[Exception]()
-
-            async def send() -> None:
-                try:
-                    await client.send_goal(goal(), reattach=0.01)
-                except ServerUnavailable as error:
-                    errors.append(error)
-
-            async with restarted.serving():
-                group.start_soon(send)
-                await gate.started.wait()
-        assert len(errors) == 1
+        left: Running[Any] = Running(lambda: client.send_goal(goal(), reattach=0.01))
+        async with anyio.create_task_group() as group, restarted.serving():
+            group.start_soon(left.run)
+            await gate.started.wait()
+        assert isinstance(left.error, ServerUnavailable)
 
 
 @pytest.mark.parametrize("see", [lambda graph: graph, Apart], ids=["in process", "by messages"])
@@ -226,22 +212,12 @@ async def test_a_server_that_returns_without_the_goal_is_told(tmp_path, see, mon
     second = Restarted(transport, tmp_path / "others.db", gate.wait)
     async with turtleact.open_node("near", transport=see(transport)) as node:
         client = node.action_client(Count, "count")
-        errors = list[Exception]()
-
-        async def send() -> None:
-            try:
-                await client.send_goal(goal(), reattach=30.0)
-            except UnknownGoal as error:
-                errors.append(error)
-
-        async with anyio.create_task_group() as group:
+        async with running(lambda: client.send_goal(goal(), reattach=30.0)) as sent:
             async with first.serving():
-                group.start_soon(send)
                 await gate.started.wait()
             async with second.serving():
-                while not errors:
-                    await settle()
-    assert len(errors) == 1
+                await sent.done.wait()
+        assert isinstance(sent.error, UnknownGoal)
 
 
 async def test_a_goal_that_a_closing_server_rejects_is_sent_to_the_next_one(tmp_path):
