@@ -123,13 +123,22 @@ class EventHandler(Waitable):
         callback_group: Decides when the callback may run.
         callback: Called with the info object of each event.
         connection: Tells the handler when the graph has changed.
+        own: The endpoint that has the events.
+        name: The kind of event.
     """
 
     def __init__(
-        self, callback_group: CallbackGroup, callback: Anything, connection: Connection
+        self,
+        callback_group: CallbackGroup,
+        callback: Anything,
+        connection: Connection,
+        own: Endpoint,
+        name: str,
     ) -> None:
         self.callback = callback
         self._connection = connection
+        self._own = own
+        self._name = name
         self._info: object | None = None
         super().__init__(callback_group, close=connection.watch(self.wake))
 
@@ -166,18 +175,12 @@ class _Late(EventHandler):
     message.
     """
 
-    def __init__(
-        self,
-        callback_group: CallbackGroup,
-        callback: Anything,
-        connection: Connection,
-        limit: int | None,
-        *,
-        repeats: bool,
-    ) -> None:
-        super().__init__(callback_group, callback, connection)
-        self._limit = limit
-        self._repeats = repeats
+    def __init__(self, *given: Anything) -> None:
+        super().__init__(*given)
+        self._repeats = self._name == "deadline"
+        times = self._own.times
+        is_manual = times.liveliness == "manual_by_topic"
+        self._limit = times.deadline if self._repeats else times.lease if is_manual else None
         self._last: int | None = None
         self._total = 0
 
@@ -207,17 +210,8 @@ class _Late(EventHandler):
 class _Seen(EventHandler):
     """Notices endpoints at the other end of the topic that appear or disappear."""
 
-    def __init__(
-        self,
-        callback_group: CallbackGroup,
-        callback: Anything,
-        connection: Connection,
-        own: Endpoint,
-        name: str,
-    ) -> None:
-        super().__init__(callback_group, callback, connection)
-        self._own = own
-        self._name = name
+    def __init__(self, *given: Anything) -> None:
+        super().__init__(*given)
         self._there: Counter[Endpoint] = Counter()
         self._changes = -1
         self._total = 0
@@ -291,7 +285,7 @@ class EventCallbacks:
         """
         given = ((name, getattr(self, name)) for name in self.NAMES)
         return [
-            _handler(name, (callback_group, callback, connection), own)
+            _kind(name, own)(callback_group, callback, connection, own, name)
             for name, callback in given
             if callback is not None
         ]
@@ -309,15 +303,9 @@ class SubscriptionEventCallbacks(EventCallbacks):
     NAMES = (*PublisherEventCallbacks.NAMES, "message_lost")
 
 
-def _handler(
-    name: str, given: tuple[CallbackGroup, Anything, Connection], own: Endpoint
-) -> EventHandler:
-    """Return the handler of an endpoint's events of the kind ``name``."""
+def _kind(name: str, own: Endpoint) -> type[EventHandler]:
+    """Return the class of the handlers for one kind of event of an endpoint."""
     if name == "message_lost":
-        return EventHandler(*given)
-    if name == "deadline":
-        return _Late(*given, own.times.deadline, repeats=True)
-    if name == "liveliness" and own.kind == "publisher":
-        is_manual = own.times.liveliness == "manual_by_topic"
-        return _Late(*given, own.times.lease if is_manual else None, repeats=False)
-    return _Seen(*given, own, name)
+        return EventHandler
+    is_own = name == "liveliness" and own.kind == "publisher"
+    return _Late if name == "deadline" or is_own else _Seen

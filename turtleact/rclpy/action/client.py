@@ -1,9 +1,8 @@
 """Action clients.
 
 The server's answers, feedback and goal states wait in one queue in the order of their arrival. An
-executor handles the queued messages in the client's callback group. Answers and feedback are never
-dropped. If several messages with goal states wait, only the newest is handled. If feedback arrives
-before the answer to its goal request, the feedback waits for that answer.
+executor handles the queued messages in the client's callback group. No message is dropped. If
+feedback arrives before the answer to its goal request, the feedback waits for that answer.
 
 Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and texts.
 """
@@ -12,7 +11,6 @@ from __future__ import annotations
 
 import threading
 import uuid
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -23,7 +21,7 @@ from turtleact.goals.wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
 from turtleact.rclpy.action.endpoints import FEEDBACK_QOS, STATUS, ActionKind, goal_key
 from turtleact.rclpy.impl.entity import (
-    NOTHING,
+    QueueEntity,
     Waitable,
     await_or_execute,
     wait_for_answer,
@@ -125,7 +123,7 @@ class ClientGoalHandle(Subscriptable):
         return self._action_client.get_result_async(self)
 
 
-class ActionClient(Introspected, Waitable):
+class ActionClient(Introspected, Waitable, QueueEntity):
     """Sends goals to an action.
 
     Args:
@@ -161,8 +159,6 @@ class ActionClient(Introspected, Waitable):
         self._goal_handles: WeakValueDictionary[bytes, ClientGoalHandle] = WeakValueDictionary()
         self._feedback_callbacks: dict[bytes, Callable[[Anything], object]] = {}
         self._early: dict[bytes, list[bytes]] = {}  # feedback of goals without an answer yet
-        self._events: deque[Event] = deque()
-        self._status: bytes | None = None  # the newest states that were not looked at
         self._lock = threading.Lock()
         self._ends = {
             name: self._kind.join(name) for name in ("send_goal", "cancel_goal", "get_result")
@@ -277,7 +273,8 @@ class ActionClient(Introspected, Waitable):
 
         def answered(reply: Reply | TurtleactError) -> None:
             if isinstance(reply, Reply):
-                self._push(self._answered, future, response_class, reply.message, handle)
+                arguments = future, response_class, reply.message, handle
+                self.put((self._answered, arguments))
             else:
                 # As in ROS 2, a request that nobody answers is lost: its future is never done.
                 self._node.get_logger().debug(f"a request was lost: {reply}")
@@ -294,32 +291,18 @@ class ActionClient(Introspected, Waitable):
             if early is not None:
                 early.append(data)
                 return
-        self._push(self._feedback, data)
+        self.put((self._feedback, (data,)))
 
     def _take_status(self, data: bytes) -> None:
-        # Only the newest states matter. They are looked at in the turn of the first.
-        with self._lock:
-            is_first = self._status is None
-            if is_first and not self._goal_handles:
-                return  # there is no goal whose state could change
-            self._status = data
-        if is_first:
-            self._push(self._update_states)
-
-    def _push(self, handle: Callable[..., Anything], *arguments: Anything) -> None:
-        self._events.append((handle, arguments))
-        self.wake()
+        if self._goal_handles:
+            self.put((self._update_states, (data,)))
 
     # as a waitable
 
-    def is_ready_now(self) -> bool:
-        """Whether a response or message waits to be handled."""
-        return bool(self._events) and not self.handle.is_destroyed
-
     def take(self) -> Anything:
         """Remove the oldest item from the queue and return it."""
-        with self._lock:
-            return self._events.popleft() if self._events else NOTHING
+        with self._lock:  # see `_goal_answered`
+            return super().take()
 
     async def run(self, taken: Event) -> None:
         """Handle an item that `take` has returned."""
@@ -371,7 +354,7 @@ class ActionClient(Introspected, Waitable):
             # early feedback stays ahead of it.
             early = self._early.pop(key, ())
             if handle.accepted:
-                self._events.extendleft((self._feedback, (data,)) for data in reversed(early))
+                self._waiting.extendleft((self._feedback, (data,)) for data in reversed(early))
         self.wake()
         return handle
 
@@ -386,12 +369,10 @@ class ActionClient(Introspected, Waitable):
         if callback is not None:
             await await_or_execute(callback, decode(data, self._action_type.Impl.FeedbackMessage))
 
-    def _update_states(self) -> None:
-        with self._lock:
-            data, self._status = self._status, None
-        states = None if data is None else read_states(data)
+    def _update_states(self, data: bytes) -> None:
+        states = read_states(data) or {}
         for key, handle in list(self._goal_handles.items()):
-            if states is not None and key in states:
+            if key in states:
                 handle.update_status(states[key][2])
 
 

@@ -32,7 +32,7 @@ from turtleact.goals.wire import GoalMetadata
 from turtleact.rclpy.action.endpoints import FEEDBACK_QOS, ActionKind, StatusTopic, goal_key
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError
 from turtleact.rclpy.impl.connection import Respond
-from turtleact.rclpy.impl.entity import NOTHING, Waitable, await_or_execute
+from turtleact.rclpy.impl.entity import QueueEntity, Waitable, await_or_execute
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages import decode, encode
 from turtleact.rclpy.qos import (
@@ -218,7 +218,7 @@ class ServerGoalHandle(Subscriptable):
         self.update(event)
 
 
-class ActionServer(Introspected, Waitable):
+class ActionServer(Introspected, Waitable, QueueEntity):
     """Serves an action.
 
     Args:
@@ -269,7 +269,6 @@ class ActionServer(Introspected, Waitable):
         self._timeout_ns = round(result_timeout * 1e9)
         self._goal_handles: dict[bytes, ServerGoalHandle] = {}
         self._expiries: deque[tuple[int, ServerGoalHandle]] = deque()
-        self._requests: deque[Request] = deque()
         self._lock = threading.Lock()
         self._logger = node.get_logger().get_child("action_server")
         self.register_goal_callback(goal_callback)
@@ -330,13 +329,12 @@ class ActionServer(Introspected, Waitable):
             self._logger.error(f"a request cannot be read: {error}")
             respond(error)  # the transport counts the request as under way until its answer
             return
-        self._requests.append((service, message, respond))
-        self.wake()
+        self.put((service, message, respond))
 
     def is_ready_now(self) -> bool:
         """Whether a request is unanswered, or a goal's ``result_timeout`` has passed."""
-        has_work = bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
-        return has_work and not self.handle.is_destroyed
+        is_due = self._first_expiry() <= time.monotonic_ns() and not self.handle.is_destroyed
+        return is_due or super().is_ready_now()
 
     def due_in(self) -> float | None:
         """The time until the next goal is forgotten (s); None if no goal will be forgotten."""
@@ -350,10 +348,7 @@ class ActionServer(Introspected, Waitable):
         This also forgets goals whose ``result_timeout`` has passed.
         """
         self._expire()
-        try:
-            return self._requests.popleft()
-        except IndexError:
-            return NOTHING
+        return super().take()
 
     async def run(self, taken: Request) -> None:
         """Answer a request that `take` has returned."""
