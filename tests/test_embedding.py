@@ -20,7 +20,7 @@ from py_trees.common import Status
 
 from turtleact import testing
 
-from .lab import Count, Gate, count, goal, lab, settle
+from .lab import Count, Gate, goal, lab, settle
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 BACKENDS = pytest.mark.parametrize("backend", ["asyncio", "trio"])
@@ -219,14 +219,6 @@ async def test_a_leaf_is_running_as_long_as_its_goal(goal_leaf):
         assert tick(leaf) is Status.SUCCESS
 
 
-async def test_a_leaf_that_ends_may_begin_anew(goal_leaf):
-    async with lab(count) as node, leaf_of(goal_leaf, node.client) as leaf:
-        assert await tick_twice(leaf) is Status.SUCCESS
-        assert tick(leaf) is Status.RUNNING
-        await settle()
-        assert tick(leaf) is Status.SUCCESS
-
-
 async def test_a_leaf_whose_goal_is_aborted_fails(goal_leaf):
     async def give_up(goal: Count.Goal) -> None:
         """Returns no result."""
@@ -255,16 +247,6 @@ async def test_a_leaf_that_is_left_cancels_its_goal(goal_leaf):
         await settle()
         assert gate.log == ["begun", "canceled", "over"]
         assert leaf.handle.status.name == "CANCELED"
-
-
-async def test_a_leaf_that_is_left_before_its_goal_is_sent_sends_none(goal_leaf):
-    gate = Gate()
-    async with lab(gate.wait) as node, leaf_of(goal_leaf, node.client) as leaf:
-        async with leaf.turtle:
-            assert await tick_twice(leaf) is Status.RUNNING
-            leaf.stop(Status.INVALID)
-        await settle()
-        assert gate.log == []
 
 
 # --- the notebook ---------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
 
 import pytest
@@ -105,13 +104,6 @@ def test_each_exception_stands_in_the_picture_of_the_tree(kind):
     assert f" {kind.__name__} " in f"{errors.__doc__} ".replace("\n", " ")
 
 
-@together
-@pytest.mark.parametrize("error", [error for error, _ in SAID], ids=lambda e: type(e).__name__)
-def test_an_exception_keeps_its_facts_when_it_is_copied(error):
-    copied = copy.copy(error)
-    assert (vars(copied), str(copied)) == (vars(error), str(error))
-
-
 @pytest.mark.parametrize(
     ("error", "line"),
     [
@@ -150,11 +142,6 @@ def test_a_long_text_is_cut_and_its_length_said():
 def test_a_group_of_long_texts_is_cut_as_a_whole():
     group = ExceptionGroup("many", [ValueError("a" * 9_000) for _ in range(9)])
     assert len(summary(group)) < LONGEST + 40
-
-
-@pytest.mark.parametrize("text", ["plain", "naïve 🐢", ""])
-def test_a_text_that_can_be_encoded_stays(text):
-    assert encodable(text) == text
 
 
 def test_half_a_surrogate_pair_is_escaped():

@@ -6,7 +6,6 @@ import ast
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import sysconfig
@@ -191,23 +190,6 @@ def collected(folder: Path) -> list[str]:
     return re.findall(r"(?<=::)\S+", said)
 
 
-def test_an_async_test_runs_on_every_loop_unless_its_folder_or_a_mark_says_otherwise(tmp_path):
-    marked = ["test_named[uvloop]", "test_named[trio]", "test_of_its_own[trio]", "test_plain"]
-    (tmp_path / "web").mkdir()
-    (tmp_path / "web" / "test_one_loop.py").write_text(NAMED, "utf-8")
-    (tmp_path / "test_all_loops.py").write_text(NAMED, "utf-8")
-    (tmp_path / "test_module.py").write_text(
-        "import pytest\npytestmark = pytest.mark.loops('trio')\nasync def test_here(): ...", "utf-8"
-    )
-    assert collected(tmp_path) == [
-        *(f"test_default[{loop}]" for loop in ("asyncio", "uvloop", "trio")),
-        *marked,
-        "test_here[trio]",
-        "test_default[asyncio]",
-        *marked,
-    ]
-
-
 CASES = """
 import pytest
 NUMBERS = pytest.mark.parametrize("number", range(4))
@@ -217,15 +199,6 @@ async def test_shared(number): ...
 @pytest.mark.loops("uvloop")
 async def test_named(number): ...
 """
-
-
-def test_uvloop_runs_the_first_and_the_last_case_of_a_test_that_does_not_name_it(tmp_path):
-    (tmp_path / "test_cases.py").write_text(CASES, "utf-8")
-    on_uvloop = [name for name in collected(tmp_path) if "uvloop" in name]
-    assert on_uvloop == [
-        *("test_shared[uvloop-0]", "test_shared[uvloop-3]"),
-        *(f"test_named[uvloop-{number}]" for number in range(4)),
-    ]
 
 
 # --- watchdog -------------------------------------------------------------------------------
@@ -250,20 +223,6 @@ def test_an_async_test_that_hangs_fails_on_every_loop(tmp_path):
         timeout=50,
     )
     assert re.search(r"=+ 3 failed in", outcome.stdout), outcome.stdout + outcome.stderr
-
-
-def ignore_interrupts() -> None:
-    """What a shell does to a program that it starts in the background."""
-    for number in (signal.SIGINT, signal.SIGQUIT):
-        signal.signal(number, signal.SIG_IGN)
-
-
-def test_what_is_run_in_the_background_can_be_interrupted():
-    code = "import signal, conftest; print(*map(signal.getsignal, (signal.SIGINT, signal.SIGQUIT)))"
-    said = subprocess.check_output(
-        [sys.executable, "-c", code], cwd=ROOT / "tests", text=True, preexec_fn=ignore_interrupts
-    )
-    assert said == f"{signal.default_int_handler} {signal.SIG_DFL}\n"
 
 
 # --- packaging ------------------------------------------------------------------------------
@@ -354,12 +313,3 @@ def test_ci_runs_in_a_copy_of_the_checkout(checkout, run_ci):
     outcome = run_ci(folder)
     assert outcome.stdout.splitlines()[1:] == [".ci", "README.md"]
     assert not (folder / "left-behind").exists()
-
-
-@needs_git
-def test_ci_fails_in_one_line_if_the_readme_has_no_test_command(checkout, run_ci):
-    outcome = run_ci(checkout("# t\n\n```sh\ntrue\n```\n"))
-    assert outcome.returncode == 2
-    assert outcome.stderr == (
-        ".ci/run: README.md has no fenced block below <!-- test command -->\n"
-    )

@@ -54,17 +54,6 @@ async def test_an_empty_domain_names_the_domains_that_have_nodes(at):
             assert "(domains 3, 5 have nodes: try --domain 3)" in said
 
 
-async def test_a_domain_with_hidden_nodes_only_is_empty(at, capsys):
-    async with open_zenoh(listen=[at], mode="router", domain=0) as alone:
-        async with open_node("_hidden", transport=alone):
-            await graph.note_empty(alone, HERE)
-        async with open_node("lab", transport=alone):
-            await graph.note_empty(alone, HERE)
-    assert capsys.readouterr().err == (
-        "turtleact: domain 0 has no nodes; is your server running?\n"
-    )
-
-
 def test_a_world_is_started_with_the_reason(turtleact, without_router):
     ran = turtleact("send-goal", "fibonaci")
     assert (ran.status, ran.err.splitlines()) == (

@@ -9,7 +9,6 @@ from contextlib import asynccontextmanager
 
 import anyio
 import pytest
-from mcap.reader import make_reader
 
 from turtleact import open_node, recording
 from turtleact.interfaces import encode, get_message
@@ -188,19 +187,6 @@ async def asking(transport):
         await running.aclose()
 
 
-@pytest.mark.parametrize(
-    ("preset", "compression"), [("fastwrite", ""), ("zstd_fast", "zstd"), ("zstd_small", "zstd")]
-)
-def test_a_recording_is_compressed_as_the_preset_says(on_graph, tmp_path, preset, compression):
-    path = tmp_path / "run"
-    line = ["bag", "record", "/said", "--storage-preset-profile", preset, "-o", str(path)]
-    assert on_graph(interrupted(talking), *line).status == 0
-    with next(path.glob("*.mcap")).open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    assert {each.compression for each in summary.chunk_indexes} == {compression}
-
-
 def test_a_recording_without_goals_says_so_and_counts_as_info_does(on_graph, tmp_path):
     path = tmp_path / "run"
     ran = on_graph(interrupted(asking), "bag", "record", "-a", "-o", str(path))
@@ -220,16 +206,6 @@ def test_a_recording_names_what_was_lost(on_graph, monkeypatch, tmp_path):
     ran = on_graph(interrupted(talking), "bag", "record", "-a", "-o", str(tmp_path / "run"))
     assert "lost: 8 messages of topic '/8'\n" in ran.err
     assert "lost: 1 message of topic '/1'\n" in ran.err
-
-
-def test_a_disk_that_is_full_is_named(on_graph, monkeypatch, tmp_path):
-    def finish(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("mcap.writer.Writer.finish", finish)
-    ran = on_graph(interrupted(talking), "bag", "record", "-a", "-o", str(tmp_path / "run"))
-    assert ran.status == 1
-    assert "it cannot be written any more: No space left on device" in ran.err
 
 
 def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch):

@@ -10,19 +10,16 @@ from pathlib import Path
 
 import pytest
 
-import turtleact
 from turtleact import open_world
 from turtleact.commands import VERBS, app, completion, graph
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
 from turtleact.interfaces.types import REGISTRY
 from turtleact.testing import run
-from turtleact.transports import MemoryTransport, QoS
+from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind
 from turtleact.transports.rmw_zenoh import session
 from turtleact.transports.rmw_zenoh.wire import Graph, endpoint_token, node_token
-
-from ..robots import Robot, write_package
 
 ON_THE_GRAPH: list[tuple[EndpointKind, str, str]] = [
     ("publisher", "/turtle1/pose", "turtlesim/msg/Pose"),
@@ -271,22 +268,6 @@ def test_modules_that_mention_turtleact_are_targets(completed, tmp_path, monkeyp
     assert completed("serve", "lab.") == ["lab.py"]
     assert completed("serve", "./l") == ["./lab-2.py", "./lab.py"]
     assert completed("serve", "robot/") == ["robot/__init__.py"]
-
-
-async def learn(folder):
-    transport = MemoryTransport()
-    async with turtleact.open_node("user", transport=transport) as node:
-        Robot(transport, write_package(folder)).serve_action("/dig", "robot_msgs/action/Dig")
-        await turtleact.learn_interface(node, "/dig")
-
-
-def test_the_fields_of_a_learned_type_come_from_the_cache(completed, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with REGISTRY.isolated():
-        run(lambda: learn(tmp_path))
-    with REGISTRY.isolated():
-        offered = completed("send-goal", "/dig", "robot_msgs/action/Dig", "")
-    assert any("depth: 0.0, speed: 0" in each for each in offered)
 
 
 # --- to the shell and back ------------------------------------------------------------------

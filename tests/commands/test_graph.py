@@ -7,13 +7,10 @@ import signal
 import socket
 import subprocess
 import sys
-from contextlib import asynccontextmanager
 from pathlib import Path
 
-import anyio
 import pytest
 
-from turtleact.commands import graph
 from turtleact.transports.rmw_zenoh import config
 
 GRAPHS = Path(__file__).with_name("graphs.py")
@@ -38,17 +35,6 @@ def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, problem, 
         "",
         f"turtleact: no ROS 2 graph in reach: {problem}; 'turtleact serve' starts one\n",
     )
-
-
-def test_a_signal_ends_the_opening_of_a_graph(turtleact, monkeypatch):
-    @asynccontextmanager
-    async def open_transport(reach, mode=None):
-        signal.raise_signal(signal.SIGTERM)
-        await anyio.sleep_forever()
-        yield
-
-    monkeypatch.setattr(graph, "open_transport", open_transport)
-    assert turtleact("topic", "list") == (143, "", "")
 
 
 @pytest.mark.parametrize(

@@ -404,12 +404,6 @@ def test_a_server_that_has_become_silent_is_not_waited_for_for_ever(on_graph, wh
     assert ran.out == f"{STRANGER.hex()} of /far: not canceled: the server does not answer\n"
 
 
-@pytest.mark.parametrize("verb", ["watch", "result"])
-def test_a_silent_server_of_a_goal_is_named_and_waited_for(on_graph, verb):
-    ran = on_graph(peer(2, answers=False, leaves_after=3.0), verb, STRANGER.hex())
-    assert ran.err.splitlines()[0] == "turtleact: server /peer does not answer; waiting for it"
-
-
 def test_a_server_that_goes_away_cancels_nothing(on_graph):
     ran = on_graph(peer(2, answers=False, leaves_after=3.0), "cancel", STRANGER.hex())
     assert (ran.status, ran.out) == (
@@ -419,9 +413,10 @@ def test_a_server_that_goes_away_cancels_nothing(on_graph):
 
 
 @pytest.mark.parametrize("verb", ["watch", "result"])
-def test_a_server_that_goes_away_is_told_by_the_name_of_its_action(on_graph, verb):
+def test_a_silent_server_is_named_and_waited_for_until_it_goes_away(on_graph, verb):
     ran = on_graph(peer(2, answers=False, leaves_after=3.0), verb, STRANGER.hex())
     assert (ran.status, ran.out) == (1, "")
+    assert ran.err.splitlines()[0] == "turtleact: server /peer does not answer; waiting for it"
     said, _, hint = ran.err.splitlines()[-1].partition(";")
     assert said == "turtleact: action '/far': the server was closed"
     assert "follows it again" in hint

@@ -193,10 +193,6 @@ def test_a_group_is_listed_alone(on_graph):
     assert ran.out.splitlines()[1:] == [f"  {each}" for each in OF_TURTLESIM if EVENTS in each]
 
 
-def test_nodes_without_parameters_are_left_out(on_graph, graphs):
-    assert on_graph(graphs.fibonacci, "param", "list")[:2] == (0, "")
-
-
 @pytest.mark.parametrize(
     ("option", "out"), [((), ""), (("--include-hidden-nodes",), "/_x:\n  a\n")]
 )
@@ -264,19 +260,6 @@ def test_a_value_is_taken_as_the_type_of_its_parameter(on_graph, name, text, val
 
     ran = on_graph(nodes, "param", "set", "/lab", name, text)
     assert (ran.status, ran.out, values[name]) == (0, "Set parameter successful\n", value)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "problem"),
-    [
-        ("label", "5", "is of type {string}, setting it to {integer} is not allowed."),
-        ("data", "[256]", "setting it to {integer_array} is not allowed."),
-    ],
-)
-def test_a_value_of_another_type_is_refused(on_graph, name, text, problem):
-    ran = on_graph(numbers, "param", "set", "/lab", name, text)
-    assert ran.status == 1
-    assert problem in ran.err
 
 
 def test_the_range_is_named_if_the_node_does_not_name_it(on_graph):
@@ -351,20 +334,6 @@ def test_a_file_that_cannot_be_loaded_is_a_usage_error(on_turtlesim, tmp_path, t
 
 
 # --- values ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "printed"),
-    [
-        ("on", "String value is: on"),
-        ("'7'", "String value is: 7"),
-        ("1e3", "Double value is: 1000.0"),
-        ("['1', a]", "String values are: ['1', 'a']"),
-    ],
-)
-def test_a_text_says_a_value(on_graph, text, printed):
-    values = values_of({"it": text})
-    assert on_graph(having(values), "param", "get", "/turtlesim", "it").out == f"{printed}\n"
 
 
 @pytest.mark.parametrize("text", ["null", "[1, a]", "[1, 0.5]", "[[1]]"])

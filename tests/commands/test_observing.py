@@ -8,9 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import httpx
@@ -99,62 +96,6 @@ async def test_serve_exports_traces_and_serves_metrics_and_logs_in_json(lab):
     assert collector.points("ros.action.goals")["/outer", "succeeded"].as_int == 1
 
 
-class Refuses(BaseHTTPRequestHandler):
-    """A collector that takes nothing."""
-
-    def do_POST(self):
-        self.send_error(404)
-
-    def log_message(self, *_):
-        pass
-
-
-@pytest.fixture
-def refusing() -> Iterator[str]:
-    """The address of a collector that answers with an error."""
-    with HTTPServer(("127.0.0.1", 0), Refuses) as server:
-        threading.Thread(target=server.serve_forever).start()
-        yield f"http://127.0.0.1:{server.server_port}"
-        server.shutdown()
-
-
-@pytest.mark.parametrize("is_there", [True, False])
-def test_a_collector_that_takes_nothing_is_told_of_and_delays_no_goal(lab, refusing, is_there):
-    at = refusing if is_there else "http://127.0.0.1:1"
-    fast = {"OTEL_BSP_SCHEDULE_DELAY": "20", "OTEL_EXPORTER_OTLP_TIMEOUT": "3"}
-    listen = free_endpoint()
-    options = ["serve", "tracedlab", "--no-sim", "--otel", "--listen", listen]
-    process = warm.start(
-        [sys.executable, "-m", "turtleact", *options],
-        cwd=lab,
-        env={**os.environ, **fast, "ROS_DOMAIN_ID": "0", "OTEL_EXPORTER_OTLP_ENDPOINT": at},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        process.stdout.readline()
-        goal = ["send-goal", "inner", "--plain", "--connect", listen]
-        for _ in range(2):
-            warm.run(
-                [sys.executable, "-m", "turtleact", *goal],
-                env={**os.environ, "ROS_DOMAIN_ID": "0"},
-                capture_output=True,
-                check=True,
-                timeout=30,
-            )
-        told = process.stderr.readline()
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=30)
-    finally:
-        process.kill()
-        process.wait()
-    assert ("404" if is_there else "Connection refused") in told + err
-    assert process.returncode == 0
-
-
 OTEL = "serve", "--no-sim", "--otel"
 
 
@@ -164,14 +105,6 @@ def test_a_missing_package_for_traces_is_named(turtleact, monkeypatch):
     ran = turtleact(*OTEL)
     assert ran.status == 1
     assert ran.err.startswith("turtleact: --otel needs the extra otel-export: pip install '")
-
-
-def test_a_variable_that_the_sdk_reads_at_its_import_is_named(turtleact, monkeypatch):
-    monkeypatch.setenv("OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT", "many")
-    monkeypatch.delitem(sys.modules, "turtleact.telemetry.exporting", raising=False)
-    monkeypatch.delitem(sys.modules, "opentelemetry.sdk.trace", raising=False)
-    ran = turtleact(*OTEL)
-    assert "OpenTelemetry cannot be set up: OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT" in ran.err
 
 
 def test_a_port_that_cannot_be_bound_is_told_with_its_option(turtleact):

@@ -43,16 +43,6 @@ def test_the_last_frame_and_the_result_stand_when_the_goal_has_ended():
     assert result.endswith("\nGoal finished with status: SUCCEEDED\n")
 
 
-@pytest.mark.parametrize(
-    ("columns", "rows", "side"), [(60, 30, 14), (80, 30, 20), (100, 40, 24), (140, 40, 24)]
-)
-def test_the_last_map_is_as_large_as_the_window_allows(columns, rows, side):
-    text, _ = on_terminal("patrol", PATROL, "--speed", "max", columns=columns, rows=rows)
-    frame = standing(text).partition("Result:")[0]
-    assert len([line for line in frame.splitlines() if line.startswith("│")]) == side
-    assert max(map(len, frame.splitlines())) <= columns
-
-
 def test_feedback_that_was_asked_for_is_a_line_each_above():
     text, _ = on_terminal("fibonacci", "order: 3", "-f", "--speed", "10")
     lines = [line.strip() for line in text.replace("\r", "\n").splitlines()]

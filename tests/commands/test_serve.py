@@ -273,38 +273,6 @@ def test_a_server_that_is_ended_answers_all_who_wait(served, number):
     assert "the goal was aborted: shutdown" in err
 
 
-LINGERING = """
-import anyio
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-
-
-@turtleact.action(Fibonacci, "endless")
-async def endless(goal):
-    yield Fibonacci.Feedback(partial_sequence=[0])
-    await anyio.sleep_forever()
-
-
-@turtleact.background
-async def linger(node):
-    client = node.action_client(Fibonacci, "endless")
-    async with client.send_goal(Fibonacci.Goal()) as handle:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.move_on_after(4, shield=True):
-                print("told:", (await handle.outcome()).reason, flush=True)
-"""
-
-
-def test_goals_end_while_a_background_task_cleans_up(tmp_path):
-    (tmp_path / "servedlingering.py").write_text(LINGERING)
-    with serving(tmp_path, "servedlingering", "--no-sim", "--reload") as server:
-        first_lines(server.process, "EXECUTING")
-        status, out, _ = server.end(signal.SIGINT)
-    assert (status, out.splitlines()[-1]) == (0, "told: shutdown")
-
-
 def test_sys_exit_in_a_body_ends_the_server_with_its_status(lab):
     (lab / "servedleaving.py").write_text(LEAVING)
     with serving(lab, "servedlab", "servedleaving", "--no-sim") as server:

@@ -31,7 +31,6 @@ from turtleact.interfaces.types import (
     REGISTRY,
     Action,
     Message,
-    MessageMeta,
     Service,
     array,
     bool_,
@@ -585,13 +584,6 @@ def test_other_values_that_fit_are_converted():
     )
     exact = Numbers(h=[1, 2], n=[1.0, 0.5], key=b"\1\2\3")
     assert encode(loose) == encode(exact)
-
-
-def test_a_message_of_another_class_of_the_same_name_and_fields_is_converted():
-    body = {"__annotations__": dict.fromkeys("xyz", float64)}
-    twin: Any = MessageMeta("Point", (Message,), body, type_name="geometry_msgs/msg/Point")
-    message = Messages(points=[twin(x=1.0)])
-    assert encode(message) == encode(Messages(points=[Point(x=1.0)]))
 
 
 ALL = from_dict(

@@ -423,20 +423,6 @@ def test_a_typed_getter_prefers_its_own_kind():
     )
 
 
-def test_the_texts_of_a_package_come_with_those_of_packages_that_do_not_ship(tmp_path):
-    write(tmp_path, "arm_msgs/msg/Arm", "joint_msgs/Joint[] joints\ngeometry_msgs/Pose at")
-    write(tmp_path, "joint_msgs/msg/Joint", "float64 angle")
-    load_interfaces(tmp_path)
-    assert list(package_texts("arm_msgs")) == ["arm_msgs/msg/Arm", "joint_msgs/msg/Joint"]
-
-
-def test_a_package_that_ships_otherwise_is_not_left_out(tmp_path):
-    write(tmp_path, "arm_msgs/msg/Arm", "std_srvs/Kind kind")
-    write(tmp_path, "std_srvs/msg/Kind", "int8 kind")
-    load_interfaces(tmp_path)
-    assert "std_srvs/srv/Empty" in package_texts("arm_msgs")
-
-
 def test_the_texts_of_an_unknown_package_are_refused_with_the_nearest():
     with pytest.raises(UnknownInterface, match="'geometry_msg', did you mean 'geometry_msgs'"):
         package_texts("geometry_msg")

@@ -107,20 +107,6 @@ async def test_a_disk_is_looked_at_again_and_again(monkeypatch, tmp_path):
             assert told(await anext(reader)) == []
 
 
-async def test_another_problem_of_the_file_is_reported_until_it_has_gone(monkeypatch, tmp_path):
-    problems = ["it was renamed"]
-    monkeypatch.setattr(fault_reports, "LOOK_EVERY", 0.0)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 10**12))
-    async with turtleact.open_node("lab") as node:
-        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
-        check = lambda: problems[0]  # noqa: E731
-        async with watching_disk(node.transport, "/lab", tmp_path, "journal", check):
-            problem = f"the journal {tmp_path} cannot be written: it was renamed"
-            assert told(await anext(reader)) == [(f"journal {tmp_path}", problem)]
-            problems[0] = ""
-            assert told(await anext(reader)) == []
-
-
 async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):
     monkeypatch.setattr("turtleact.goals.remote.LATE_FEEDBACK", 0.01)
     graph = MemoryTransport()

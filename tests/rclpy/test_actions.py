@@ -1,15 +1,11 @@
 """Action servers and clients of rclpy, with each other."""
 
-import threading
-import time
-
 import pytest
 
 from turtleact.goals.state import GoalStatus
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
-from turtleact.rclpy.executors import MultiThreadedExecutor
 from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.task import Future
 
@@ -219,33 +215,6 @@ def test_wrong_types_are_refused(node, client):
         client.cancel_goal_async("handle")
     with pytest.raises(TypeError, match="not callable"):
         ActionServer(node, Fibonacci, "fibonacci", "execute")
-
-
-def test_a_thread_may_block_until_the_result(node, context):
-    from turtleact.rclpy.impl.entity import ReentrantCallbackGroup
-
-    group = ReentrantCallbackGroup()
-    ActionServer(node, Fibonacci, "fibonacci", succeed, callback_group=group)
-    client = ActionClient(node, Fibonacci, "fibonacci", callback_group=group)
-    executor = MultiThreadedExecutor(2, context=context)
-    executor.add_node(node)
-    spinning = threading.Thread(target=executor.spin, daemon=True)
-    spinning.start()
-    assert client.wait_for_server(timeout_sec=5)
-    response = client.send_goal(Fibonacci.Goal(order=4))
-    assert list(response.result.sequence) == [4]
-    sent = client.send_goal_async(Fibonacci.Goal(order=1))
-    while not sent.done():
-        time.sleep(0.001)
-    handle = sent.result()
-    assert handle.get_result().status == GoalStatus.SUCCEEDED
-    assert handle.cancel_goal().return_code == 3
-    assert handle == handle
-    assert handle.stamp.sec > 0
-    assert "accepted=True" in repr(handle)
-    assert len({handle, handle}) == 1
-    context.shutdown()
-    spinning.join(5)
 
 
 def test_a_client_waits_for_a_server_no_longer_than_asked(client):

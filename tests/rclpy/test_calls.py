@@ -21,8 +21,6 @@ from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.process import PROCESS
 from turtleact.rclpy.messages import hash_of, interface_class
-from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.services import ServiceIntrospectionState
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
@@ -80,20 +78,6 @@ def test_a_service_of_turtleact_answers_a_client_of_rclpy(others, node, executor
     client = node.create_client(AddTwoInts, "add")
     assert client.wait_for_service(timeout_sec=5)
     assert done(executor, client.call_async(AddTwoInts.Request(a=2, b=3))).sum == 5
-
-
-def test_a_client_publishes_its_calls_of_a_service_of_turtleact(others, node, executor):
-    client = node.create_client(AddTwoInts, "add")
-    assert client.wait_for_service(timeout_sec=5)
-    heard: list[Any] = []
-    node.create_subscription(AddTwoInts.Event, "add/_service_event", heard.append, 10)
-    contents = ServiceIntrospectionState.CONTENTS
-    client.configure_introspection(node.get_clock(), QoSProfile(depth=10), contents)
-    done(executor, client.call_async(AddTwoInts.Request(a=2, b=3)))
-    while len(heard) < 2:
-        executor.spin_once(timeout_sec=5)
-    assert heard[0].request[0].a == 2
-    assert heard[1].response[0].sum == 5
 
 
 def test_a_request_that_fails_is_never_done_but_logged(others, node, executor, capsys):

@@ -7,12 +7,10 @@ import signal
 import sys
 import threading
 from contextlib import suppress
-from typing import Any
 
 import pytest
 
 from turtleact.rclpy import context as context_module
-from turtleact.rclpy import finder
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.context import Context, SignalHandlerOptions
 from turtleact.rclpy.exceptions import NotInitializedException
@@ -112,11 +110,6 @@ def test_the_functions_of_rclpy_spin_in_one_global_executor(default):
     assert not rclpy.ok()
 
 
-def test_spinning_with_the_nodes_own_executor_leaves_it_there(node, executor):
-    rclpy.spin_once(node, executor=executor, timeout_sec=0)
-    assert node.executor is executor
-
-
 @pytest.fixture
 def imports(monkeypatch):
     """What the test makes importable, it makes so for itself alone."""
@@ -126,18 +119,6 @@ def imports(monkeypatch):
     for name in set(sys.modules) - before:
         if name.partition(".")[0] == "rclpy":
             del sys.modules[name]
-
-
-@pytest.mark.usefixtures("imports")
-def test_modules_of_rclpy_are_attributes():
-    finder.install()
-    module: Any = rclpy.parameter_client
-    assert module.WhenDone is not None
-    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-        _ = rclpy.nonsense
-    for name in ("_x", "__x__"):
-        with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
-            getattr(rclpy, name)
 
 
 def test_arguments_for_ros_can_be_removed(monkeypatch):

@@ -232,18 +232,6 @@ def test_a_context_is_initialised_and_shut_down_once(context):
 # --- custom groups and executors ------------------------------------------------------------------
 
 
-def test_an_exclusive_group_is_held_by_one_entity_at_a_time(node):
-    group = MutuallyExclusiveCallbackGroup()
-    first = node.create_guard_condition(None, callback_group=group)
-    second = node.create_guard_condition(None, callback_group=group)
-    assert group.beginning_execution(first)
-    assert not group.beginning_execution(second)
-    assert not group.can_execute(second)
-    assert group.active_entity == first
-    group.ending_execution(first)
-    assert group.can_execute(second)
-
-
 def test_a_custom_executor_runs_callbacks_where_it_likes(node, context):
     class Custom(Executor):
         def __init__(self):
@@ -277,14 +265,6 @@ def test_work_is_waited_for_until_a_timeout_or_a_condition(node, executor):
         executor.wait_for_ready_callbacks(0)
     with pytest.raises(ConditionReachedException):
         executor.wait_for_ready_callbacks(None, lambda: True)
-
-
-def test_a_cancelled_task_is_skipped(executor):
-    called: list[int] = []
-    executor.create_task(called.append, 1).cancel()
-    executor.create_task(called.append, 2)
-    executor.spin_once(0)
-    assert called == [2]
 
 
 def test_a_spin_until_a_future_is_done_ends_after_its_timeout(executor):

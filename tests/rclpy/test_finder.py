@@ -72,16 +72,6 @@ def test_what_turtleact_does_not_have_says_so(name):
         importlib.import_module(name)
 
 
-def test_a_package_of_ament_is_known_by_its_sources(tmp_path, monkeypatch):
-    (tmp_path / "lab").mkdir()
-    (tmp_path / "lab" / "package.xml").write_text("<package><name>lab</name></package>")
-    monkeypatch.chdir(tmp_path)
-    packages = importlib.import_module("ament_index_python.packages")
-    assert packages.get_package_share_directory("lab") == str(tmp_path / "lab")
-    with pytest.raises(packages.PackageNotFoundError, match="hall"):
-        packages.get_package_prefix("hall")
-
-
 def test_a_second_install_replaces_the_first():
     before = len(sys.meta_path)
     install()

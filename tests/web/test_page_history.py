@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from turtleact.web.page_history import (
     MOST_ACTIVE,
     MOST_CORNERS,
-    MOST_LINES,
     MOST_POINTS,
     GoalHistory,
     GoalRecord,
@@ -85,35 +84,6 @@ def test_an_arc_stays_near_the_way():
     points = places(drawn)
     middles = [((a + c) / 2, (b + d) / 2) for (a, b), (c, d) in pairwise(points)]
     assert all(abs(hypot(*middle) - 1.0) < 0.015 for middle in middles)
-
-
-def test_only_the_new_end_is_told():
-    drawn = trails()
-    drive(drawn, (0.0, 0.0), (0.5, 0.0), (1.0, 0.0))
-    assert not drawn.since(3)
-    drive(drawn, (1.5, 0.0))
-    assert not drawn.since(3)["turtle1"].is_whole
-    assert places(drawn, 3) == [(1.0, 0.0)]
-
-
-def test_a_turtle_that_comes_back_elsewhere_draws_no_line_to_there():
-    drawn = trails()
-    drive(drawn, (0.0, 0.0), (1.0, 0.0))
-    drawn.lift("turtle1")
-    drawn.lift("nobody")
-    drive(drawn, (5.0, 5.0))
-    assert drawn.since(0)["turtle1"].points[-1] == (5.0, 5.0, "", 0)
-
-
-def test_the_lines_of_turtles_that_are_gone_are_dropped_first():
-    drawn = trails()
-    drive(drawn, (1.0, 1.0))
-    for index in range(2 * MOST_LINES):
-        drawn.follow(f"gone{index}", 0.0, 0.0)
-        drawn.lift(f"gone{index}")
-    kept = drawn.since(0)
-    assert len(kept) == MOST_LINES
-    assert "turtle1" in kept
 
 
 def test_a_trail_is_bounded():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import anyio
 import pytest
 
 import turtleact
@@ -25,7 +24,6 @@ from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.base import Endpoint, ServiceHandler
 from turtleact.web import open_bridge
 from turtleact.web.page_history import MOST_ACTIVE, MOST_ENDED
-from turtleact.web.watching import MOST_FOLLOWED
 
 from ..lab import Count, Gate, count, goal, settle
 from .line import Line, bridged, line
@@ -245,26 +243,6 @@ async def test_goals_of_an_unknown_type_are_shown_until_their_server_is_gone():
         (ended,) = await goals(client)
         assert (ended["status"], ended["reason"]) == ("UNKNOWN", "its server has forgotten it")
         odd.close()
-
-
-async def test_more_goals_than_can_be_followed_are_still_shown():
-    gate = Gate()
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        await watch(client)
-        many = MOST_FOLLOWED + 3
-        sender = node.action_client(Count, "count")
-        async with anyio.create_task_group() as group:
-            for _ in range(many):
-                group.start_soon(sender.send_goal, goal())
-            await settle()
-            found = await goals(client)
-            assert {each["status"] for each in found} == {"EXECUTING"}
-            assert len(found) == many
-            gate.opened.set()
-        await settle()
-        found = await goals(client)
-        assert {each["status"] for each in found} == {"SUCCEEDED"}
 
 
 async def test_a_page_gets_what_is_new_and_waits_for_it():
