@@ -19,8 +19,7 @@ from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.interfaces.types import REGISTRY
 from turtleact.recording import Bag, BagError, Selection
-from turtleact.recording.bag_writer import BagWriter, Split
-from turtleact.recording.converting import Output, convert
+from turtleact.recording.bag_writer import BagWriter, Output, Split, convert
 from turtleact.recording.schemas import Schema
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background

@@ -335,8 +335,8 @@ def convert(
     preset: PresetProfile = "none",
 ) -> None:
     """Convert bags: merge, cut by time or topic, split or compress them."""
-    from turtleact.recording import Bag, converting
-    from turtleact.recording.bag_writer import Split
+    from turtleact.recording import Bag
+    from turtleact.recording.bag_writer import Output, Split, convert
 
     inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
     start = Bag(inputs[0]).info.start + round(offset * 1e9)
@@ -346,10 +346,8 @@ def convert(
         compression=_compression(preset),
     )
     end = None if duration is None else start + round(duration * 1e9)
-    wanted = converting.Output(
-        path=output, selection=_from_bag(taken), start=start, end=end, split=split
-    )
-    [count] = converting.convert(inputs, [wanted])
+    wanted = Output(path=output, selection=_from_bag(taken), start=start, end=end, split=split)
+    [count] = convert(inputs, [wanted])
     note(f"{counted(count, 'message')} written to {output}")
 
 
