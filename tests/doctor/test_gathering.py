@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
@@ -12,11 +11,10 @@ import pytest
 
 import turtleact
 from turtleact import QoS
-from turtleact.doctor import gathering
 from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
 from turtleact.goals.fault_reports import TOPIC, FaultReports
-from turtleact.interfaces import Message, get_interface, int32, int64
+from turtleact.interfaces import Message, int32, int64
 from turtleact.interfaces import type_hash as hash_of
 from turtleact.interfaces.standard import Twist
 from turtleact.interfaces.standard.diagnostic_msgs.msg import (
@@ -28,7 +26,6 @@ from turtleact.interfaces.standard.type_description_interfaces.srv import GetTyp
 from turtleact.node import Node
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
-from turtleact.transports.rmw_zenoh import services
 from turtleact.transports.rmw_zenoh.wire import endpoint_token
 
 from ..lab import Count, count
@@ -124,28 +121,6 @@ async def test_different_definitions_are_named_with_their_fields(address):
         assert fault.names == ("/level", "lab_interfaces/msg/Level", "/one", "/two")
         assert " at /one" in fault.problem
         assert " at /two" in fault.problem
-
-
-async def test_a_clock_that_is_wrong_is_named(address, monkeypatch):
-    monkeypatch.setattr(services, "time_ns", lambda: time.time_ns() + 5_000_000_000)
-    async with graph_at(address) as graph:
-        (await graph.node("late")).action_server(Count, "count", count)
-        fault = await graph.only_fault(endpoints=5)
-        assert (fault.kind, fault.names) == ("clock", ("/late",))
-        assert "is 5 s ahead of" in fault.problem
-
-
-async def test_a_process_that_does_not_answer_is_named(address, monkeypatch):
-    monkeypatch.setattr(gathering, "PATIENCE", 0.3)
-
-    async def hang(_: Any) -> Any:
-        await anyio.sleep_forever()
-
-    async with graph_at(address) as graph:
-        node: Any = await graph.node("hung")
-        node.service(get_interface("rcl_interfaces/srv/ListParameters"), "hung/list", hang)
-        fault = await graph.only_fault(endpoints=1)
-        assert (fault.kind, fault.names) == ("silent-node", ("/hung",))
 
 
 async def test_a_node_of_an_old_release_is_named(address):

@@ -282,15 +282,6 @@ async def test_a_cancel_of_all_goals_up_to_a_time_spares_later_goals(node, tmp_p
     assert played.goals == {("/fibonacci", "CANCELED"): 1, ("/fibonacci", "SUCCEEDED"): 1}
 
 
-async def test_goals_can_go_to_an_action_of_another_name(node, tmp_path):
-    await record_goals(node, tmp_path / "first")
-    node.action_server(Fibonacci, "other", count)
-    played = await recording.play(
-        node, tmp_path / "first", send_goals=True, rate="max", remap={"/fibonacci": "/other"}
-    )
-    assert {action for action, _ in played.goals} == {"/other"}
-
-
 async def test_without_a_server_the_reason_is_counted(node, tmp_path):
     await record_goals(node, tmp_path / "first")
     async with open_node("other") as other:

@@ -22,10 +22,8 @@ from turtleact.interfaces.standard.simulation_interfaces.srv import (
     StepSimulation,
 )
 from turtleact.tasks import wait_until_idle
-from turtleact.tasks.clock import make_clock
 
 from .stage import TICK, stage
-from .test_ticking import LEAPING, SPEEDS
 
 OK = SimulationResult.RESULT_OK
 FAILED = SimulationResult.RESULT_OPERATION_FAILED
@@ -97,19 +95,6 @@ async def test_a_state_that_cannot_be_set_is_refused(state):
             f"state {state} cannot be set: give one of 0 (stopped), 1 (playing), 2 (paused)"
         )
         assert await state_of(here) == PLAYING
-
-
-@LEAPING
-@SPEEDS
-async def test_in_a_pause_no_pose_is_published_and_no_tick_is_made(speed):
-    async with stage(clock=make_clock(speed)) as here:
-        poses = here.poses()
-        await here.pass_ticks(3)
-        await set_state(here, PAUSED)
-        poses.drain()
-        before = here.world.tick
-        await wait_until_idle()
-        assert (poses.drain(), here.world.tick) == ([], before)
 
 
 async def test_commands_of_a_pause_are_taken_up_by_the_next_tick():

@@ -109,13 +109,6 @@ async def test_whoever_sleeps_goes_on_between_the_ticks_of_a_step():
         assert sleeper.done.is_set()
 
 
-async def test_no_step_is_a_step_of_no_ticks():
-    async with ticks(is_paused=True) as here:
-        await here.ticking.step(0)
-        await wait_until_idle()
-        assert here.log == []
-
-
 async def test_there_are_no_steps_below_none():
     async with ticks(is_paused=True) as here:
         with pytest.raises(SimError, match="-1 steps: give 0 or more"):

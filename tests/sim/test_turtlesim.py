@@ -238,15 +238,6 @@ async def test_a_world_that_is_far_behind_its_clock_goes_on_from_there():
         assert here.world.tick - before in (10, 11, 12)
 
 
-async def test_a_closed_one_ticks_no_more():
-    async with stage() as here:
-        await here.pass_ticks(5)
-        await here.sim.aclose()
-        before = here.world.tick
-        await here.pass_ticks(100)
-        assert here.world.tick == before
-
-
 async def test_it_says_what_the_real_one_says_at_the_start(caplog):
     caplog.set_level(logging.INFO)
     async with stage(turtles=2):
@@ -341,13 +332,6 @@ async def test_a_turtle_that_is_not_there_cannot_be_killed(caplog):
     (record,) = caplog.records
     assert record.getMessage() == "Tried to kill turtle [bob], which does not exist"
     assert record.levelno == logging.ERROR
-
-
-async def test_the_last_turtle_may_be_killed_and_another_spawned():
-    async with stage() as here:
-        await here.kill("turtle1")
-        await here.pass_ticks(3)
-        assert await here.spawn(1.0, 1.0, 0.0) == "turtle2"
 
 
 async def test_a_turtle_that_is_killed_ends_its_rotation_with_a_reason():

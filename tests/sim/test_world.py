@@ -208,14 +208,13 @@ def test_time_is_the_number_of_ticks():
     assert (world.tick, world.time) == (125, 2.0)
 
 
-@pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_the_newest_command_of_a_tick_counts(turtles):
-    world = World(turtles)
+def test_the_newest_command_of_a_tick_counts():
+    world = World(FEW)
     world.set_velocity(1, 1.0)
     world.set_velocities(2.0)
     world.set_velocity(0, 3.0)
     velocities = run(world, 1).poses()[:, 3].tolist()
-    assert velocities == [3.0] + [2.0] * (turtles - 1)
+    assert velocities == [3.0] + [2.0] * (FEW - 1)
 
 
 def test_linear_velocity_is_never_negative():
@@ -224,9 +223,8 @@ def test_linear_velocity_is_never_negative():
     assert run(world, 1).pose("turtle1").linear_velocity == 2.0
 
 
-@pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_a_holonomic_turtle_moves_sideways(turtles):
-    world = World(turtles, holonomic=True)
+def test_a_holonomic_turtle_moves_sideways():
+    world = World(FEW, holonomic=True)
     world.set_velocities(0.0, 1.0)
     world.step()
     x, y, *_ = world.pose("turtle1")
@@ -263,12 +261,11 @@ def test_names_are_in_name_order():
     assert World(11).names[:4] == ("turtle1", "turtle10", "turtle11", "turtle2")
 
 
-@pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_poses_are_those_of_each_turtle(turtles):
-    world = World(turtles, holonomic=True)
+def test_poses_are_those_of_each_turtle():
+    world = World(FEW, holonomic=True)
     world.set_velocities(1.3, -0.7, 0.3)
     poses = run(world, 20).poses()
-    assert [tuple(row) for row in poses.tolist()] == [world.pose(i) for i in range(turtles)]
+    assert [tuple(row) for row in poses.tolist()] == [world.pose(i) for i in range(FEW)]
     assert poses.dtype == np.float32
 
 
@@ -281,10 +278,9 @@ def test_a_speed_that_is_not_finite_is_refused_by_name(value):
         World().set_velocity("turtle1", 1.0, 0.0, value)
 
 
-@pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_among_speeds_for_all_the_one_that_is_not_finite_is_named(turtles):
-    world = World(turtles)
-    omega = np.zeros(turtles)
+def test_among_speeds_for_all_the_one_that_is_not_finite_is_named():
+    world = World(FEW)
+    omega = np.zeros(FEW)
     omega[world.index("turtle3")] = math.inf
     with pytest.raises(SimError, match=r"^turtle3: omega is inf"):
         world.set_velocities(1.0, 0.0, omega)
@@ -363,9 +359,8 @@ def test_a_spawn_at_no_place_is_refused(name, who):
         World().spawn(1.0, 1.0, math.nan, name)
 
 
-@pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_each_turtle_stays_where_it_is_whoever_comes_and_goes(turtles):
-    world = World(turtles)
+def test_each_turtle_stays_where_it_is_whoever_comes_and_goes():
+    world = World(FEW)
     before = {name: world.pose(name) for name in world.names}
     for number, name in enumerate(("zoe", "alf", "turtle15")):
         world.spawn(1.0, 1.0 + number, 0.0, name + "x")
@@ -405,13 +400,3 @@ def test_a_reset_leaves_turtle1_at_the_start():
     assert world.names == ("turtle1",)
     assert run(world, 1).pose("turtle1") == POSES["start"]
     assert world.spawn(1.0, 1.0, 0.0) == "turtle2"
-
-
-@pytest.mark.parametrize("turtles", [FEW, MANY])
-def test_places_and_headings_are_those_of_the_poses(turtles):
-    world = World(turtles)
-    world.set_velocities(1.0, 0.0, 1.0)
-    run(world, 5)
-    for index, place in enumerate(world.places()):
-        expected = (place.real, SIDE - place.imag, world.heading(index))
-        assert world.pose(index)[:3] == pytest.approx(expected, abs=1e-6)

@@ -93,13 +93,6 @@ async def test_its_nodes_are_the_simulator_the_actions_and_the_users():
         assert node.graph().nodes == ("/turtle_actions", "/turtleact", "/turtlesim", "/world")
 
 
-async def test_two_worlds_do_not_see_each_other():
-    async with open_world(speed="max") as one, open_world(speed="max", turtles=2) as other:
-        assert "/turtle1/pose" in one.graph().topics
-        assert "/turtle2/pose" not in one.graph().topics
-        assert "/turtle2/pose" in other.graph().topics
-
-
 @pytest.mark.parametrize(
     ("speed", "clock", "factor"),
     [(1.0, WallClock, 1.0), (2, ScaledClock, 2.0), ("0.5", ScaledClock, 0.5)],
@@ -109,11 +102,6 @@ async def test_a_speed_is_a_factor_of_wall_time(speed, clock, factor):
         assert type(node.clock) is clock
         assert isinstance(node.clock, ScaledClock)
         assert node.clock.factor == factor
-
-
-async def test_the_speed_is_that_of_the_wall_unless_given():
-    async with open_world() as node:
-        assert type(node.clock) is WallClock
 
 
 async def patrol(node, pauses=()):
