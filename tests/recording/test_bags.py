@@ -479,12 +479,6 @@ def test_an_index_without_room_leaves_all_messages(tmp_path, disk, monkeypatch):
     assert (len(stamps(path)), info_of(path).is_closed) == (30, False)
 
 
-def test_a_name_that_is_not_utf8_is_refused(tmp_path):
-    with pytest.raises(BagError, match="its name is not UTF-8, as ROS 2's file metadata"):
-        BagWriter(tmp_path / os.fsdecode(b"bad\xffname"), Split())
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_disk_that_is_full_when_a_file_ends_loses_no_other_message(tmp_path, monkeypatch):
     writer = opened(tmp_path / "run", Split(max_duration=10 * STEP))
     fill(writer, 10)

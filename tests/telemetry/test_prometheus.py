@@ -16,14 +16,13 @@ from turtleact import GoalRejected, TurtleactError
 from turtleact.goals.observers import FeedbackLost
 from turtleact.tasks.clock import VirtualClock
 from turtleact.telemetry import GoalMetrics, instrument, measuring
-from turtleact.telemetry.prometheus import Totals
 from turtleact.transports import MemoryTransport
 
 from ..lab import Count, Gate, bare_goal, count, goal, result
 from .collector import collecting
 
 
-def read(metrics: GoalMetrics | Totals) -> dict[str, float]:
+def read(metrics: GoalMetrics) -> dict[str, float]:
     """All samples, by name and labels."""
     found = {}
     for family in text_string_to_metric_families(metrics.text()):
@@ -65,7 +64,7 @@ async def test_a_closed_node_cannot_be_watched():
 
 
 async def test_a_histogram_has_the_goals_up_to_each_bound():
-    metrics = Totals()
+    metrics = GoalMetrics()
     for seconds in (0.01, 0.02, 7.0, 9_999.0):
         metrics.ended("/count", "aborted", seconds)
     found = read(metrics)

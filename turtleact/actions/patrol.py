@@ -8,7 +8,7 @@ Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 from turtleact.errors import Reject
@@ -133,32 +133,6 @@ def serve(
     )
 
 
-class _Tour:
-    """The stops of a patrol: all targets in order, repeated for each round."""
-
-    def __init__(self, targets: Sequence[Point], rounds: int) -> None:
-        self._targets = targets
-        self._legs = [
-            distance(here.x, here.y, there.x, there.y)
-            for here, there in zip(targets, [*targets[1:], targets[0]], strict=True)
-        ]
-        self.stops = len(targets) * rounds
-
-    def index(self, stop: int) -> int:
-        """Return the index of the target at a stop."""
-        return stop % len(self._targets)
-
-    def target(self, stop: int) -> Point:
-        """Return the target at a stop."""
-        return self._targets[self.index(stop)]
-
-    def length_from(self, stop: int) -> float:
-        """Return the distance from a stop through all later stops (m)."""
-        rounds, left = divmod(self.stops - 1 - stop, len(self._legs))
-        rest = sum(self._legs[self.index(stop + leg)] for leg in range(left))
-        return rounds * sum(self._legs) + rest
-
-
 class _Patrol:
     """Checks and runs the goals of ``/patrol`` and ``/command_turtle``."""
 
@@ -229,10 +203,10 @@ class _Patrol:
 
         For a goal from a journal, ``result`` is the partial result from before the restart.
         """
-        tour = _Tour(goal.targets, 1 + goal.loops)
         started, before = handle.node.clock.time() - result.duration, result.distance
         first = result.reached + len(result.missed)
         async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
+            tour = _Tour(goal, drive, result, tell)
 
             def record() -> None:
                 result.distance = before + drive.travelled
@@ -241,11 +215,10 @@ class _Patrol:
 
             try:
                 for stop in range(first, tour.stops):
-                    leg = _Leg(tour, stop, drive, result, tell)
-                    if await leg.run():
+                    if await tour.reach(stop):
                         result.reached += 1
                         record()
-                        leg.tell(is_reached=True)
+                        tour.tell(stop, is_reached=True)
                         continue
                     result.missed.append(tour.index(stop))
                     record()
@@ -265,29 +238,34 @@ class _Patrol:
         )
 
 
-class _Leg:
-    """Drives the turtle to one stop."""
+class _Tour:
+    """Drives the turtle to the stops of a patrol: all targets in order, repeated for each round."""
 
     def __init__(
         self,
-        tour: _Tour,
-        stop: int,
+        goal: Patrol.Goal,
         drive: Drive,
         result: Patrol.Result,
         tell: Callable[[Patrol.Feedback], None],
     ) -> None:
-        self._target = tour.target(stop)
-        self._tour = tour
-        self._stop = stop
+        targets = self._targets = goal.targets
+        self.stops = len(targets) * (1 + goal.loops)
+        self._legs = [
+            distance(here.x, here.y, there.x, there.y)
+            for here, there in zip(targets, [*targets[1:], targets[0]], strict=True)
+        ]
         self._drive = drive
         self._result = result
         self._tell = tell
 
-    async def run(self) -> bool:
-        """Drive to the leg's target. Return False if the turtle does not arrive in time."""
-        drive, target = self._drive, self._target
-        following = self._stop + 1
-        after = self._tour.target(following) if following < self._tour.stops else None
+    def index(self, stop: int) -> int:
+        """Return the index of the target at a stop."""
+        return stop % len(self._targets)
+
+    async def reach(self, stop: int) -> bool:
+        """Drive to a stop. Return False if the turtle does not arrive in time."""
+        drive, target = self._drive, self._targets[self.index(stop)]
+        after = self._targets[self.index(stop + 1)] if stop + 1 < self.stops else None
         deadline = drive.deadline(target)
         due = drive.time() + PERIOD
         # A turtle that stands on all of its targets reaches one with each pose, so that endless
@@ -300,24 +278,31 @@ class _Leg:
                 return False
             if drive.time() >= due:
                 due += PERIOD
-                self.tell(is_reached=False)
+                self.tell(stop, is_reached=False)
             await drive.towards(target, after, until=min(due, deadline))
         return True
 
-    def tell(self, *, is_reached: bool) -> None:
-        remaining = self._tour.length_from(self._stop)
+    def tell(self, stop: int, *, is_reached: bool) -> None:
+        """Publish feedback about the stop that the turtle is heading for or has reached."""
+        target, remaining = self._targets[self.index(stop)], self._length_from(stop)
         if not is_reached:
-            remaining += self._drive.distance_to([self._target])
+            remaining += self._drive.distance_to([target])
         self._tell(
             Patrol.Feedback(
-                index=self._tour.index(self._stop),
-                target=self._target,
+                index=self.index(stop),
+                target=target,
                 is_reached=is_reached,
                 reached=self._result.reached,
                 pose=self._drive.pose,
                 distance_remaining=remaining,
             )
         )
+
+    def _length_from(self, stop: int) -> float:
+        """Return the distance from a stop through all later stops (m)."""
+        rounds, left = divmod(self.stops - 1 - stop, len(self._legs))
+        rest = sum(self._legs[self.index(stop + leg)] for leg in range(left))
+        return rounds * sum(self._legs) + rest
 
 
 def _nothing(_: Patrol.Result) -> None:

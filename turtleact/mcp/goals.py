@@ -139,9 +139,7 @@ class Goals:
                 beside.start_soon(reporter.run)
                 reply = await _follow(client, goal, reporter)
                 reporter.end()
-                with anyio.move_on_after(FAREWELL):
-                    await reporter.ended.wait()
-                beside.cancel_scope.cancel()
+                beside.cancel_scope.deadline = anyio.current_time() + FAREWELL
             return reply
 
     async def held(self) -> list[HeldGoal]:
@@ -206,12 +204,10 @@ class _Reporter:
 
     Attributes:
         latest: The newest feedback.
-        ended: Set when the last message has been sent.
     """
 
     def __init__(self, report: Report, rate: float) -> None:
         self.latest: Message | None = None
-        self.ended = anyio.Event()
         self._report = report
         self._rate = rate
         self._count = 0
@@ -242,7 +238,6 @@ class _Reporter:
             else:
                 self._changed = anyio.Event()
                 await self._changed.wait()
-        self.ended.set()
 
     async def _rest(self) -> None:
         """Keep to the rate, and then skip all waiting messages but the newest."""

@@ -98,7 +98,6 @@ class BagWriter:
         if self._is_single and (split.max_size or split.max_duration):
             raise BagError(path, "a single file cannot be split; name a folder instead")
         self._channels: dict[int, Channel] = {}
-        self._about: dict[int, dict[str, str]] = {}  # as every file describes the channels
         self._numbers: dict[int, int] = {}  # channels as the current file numbers them
         self._head = embedded(BagInfo(distro=DISTRO))
         self._closed = 0  # how many files of the folder are written
@@ -115,11 +114,7 @@ class BagWriter:
     def add(self, number: int, channel: Channel) -> None:
         """Add a topic under a number that the caller chooses."""
         self._channels[number] = channel
-        self._about[number] = {
-            "offered_qos_profiles": offers_text(channel.offers),
-            "topic_type_hash": channel.type_hash,
-        }
-        self._register(number)
+        self._numbers[number] = self._file.add_channel(channel)
 
     def write(self, number: int, stamp: int, sent: int, data: bytes) -> None:
         """Add a message to the current chunk. The chunk is written to disk when it is full.
@@ -159,11 +154,6 @@ class BagWriter:
 
     def _create(self) -> _McapFile:
         path = self.path
-        try:
-            path.name.encode()
-        except UnicodeEncodeError:
-            problem = "its name is not UTF-8, as ROS 2's file metadata.yaml requires"
-            raise BagError(path, f"{problem}; give another name") from None
         is_made = False
         try:
             if not self._is_single:
@@ -190,12 +180,8 @@ class BagWriter:
         self._file.close(self._head)
         self._closed += 1
         self._file = self._begin()
-        for each in self._channels:
-            self._register(each)
-
-    def _register(self, number: int) -> None:
-        channel = self._channels[number]
-        self._numbers[number] = self._file.add_channel(channel, self._about[number])
+        for number, channel in self._channels.items():
+            self._numbers[number] = self._file.add_channel(channel)
 
     def _is_time_to_split(self, stamp: int) -> bool:
         split, file = self._split, self._file
@@ -307,8 +293,12 @@ class _McapFile:
         """The size of the file (bytes) if the current chunk were written without compression."""
         return self._written + self._chunk_size
 
-    def add_channel(self, channel: Channel, about: dict[str, str]) -> int:
+    def add_channel(self, channel: Channel) -> int:
         """Add a topic and return its number in the file."""
+        about = {
+            "offered_qos_profiles": offers_text(channel.offers),
+            "topic_type_hash": channel.type_hash,
+        }
         schema = channel.schema
         if schema not in self._schemas:
             self._schemas[schema] = self._writer.register_schema(

@@ -17,15 +17,15 @@ Source: Prometheus, "Exposition formats", text format 0.0.4; "Metric and label n
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple, TypeAlias
 from weakref import WeakSet
 
 from turtleact.node import Node, check_open
 from turtleact.telemetry.measuring import BOUNDS, measure, watch_loop
 
-__all__ = ["GoalMetrics", "Totals"]
+__all__ = ["GoalMetrics"]
 
 Labels: TypeAlias = tuple[str, ...]
 """The values of the labels of a metric, in the order of their names."""
@@ -90,6 +90,8 @@ LAG: Final = _Metric("turtleact_loop_lag_seconds", "histogram", "How late the ev
 class GoalMetrics:
     """Counts the goals of nodes, for Prometheus. This class needs no extra package.
 
+    It has the methods of `turtleact.telemetry.measuring.Measurements`.
+
     >>> metrics = GoalMetrics()
     >>> for line in metrics.text().splitlines()[:2]:
     ...     print(line)
@@ -99,7 +101,12 @@ class GoalMetrics:
 
     def __init__(self) -> None:
         self._nodes = WeakSet[Node]()
-        self._totals = Totals()
+        self._goals = Counter[Labels]()
+        self._active = Counter[Labels]()
+        self._lost = Counter[Labels]()
+        self._durations = defaultdict[Labels, _Histogram](_Histogram)
+        self._waits = defaultdict[Labels, _Histogram](_Histogram)
+        self._lags: dict[Labels, _Histogram] = {(): _Histogram()}
 
     def watch(self, node: Node) -> None:
         """Count the goals that a node serves and sends, from now on.
@@ -112,38 +119,22 @@ class GoalMetrics:
         check_open(node)
         if node not in self._nodes:
             self._nodes.add(node)
-            measure(node, self._totals)
+            measure(node, self)
 
     async def watch_loop(self) -> None:
         """Measure how late the event loop is, until cancelled."""
-        await watch_loop(self._totals)
-
-    def text(self) -> str:
-        """Return all metrics in Prometheus's text format."""
-        return self._totals.text()
-
-
-class Totals:
-    """Keeps measurements; its methods are those of `turtleact.telemetry.measuring.Measurements`."""
-
-    def __init__(self) -> None:
-        self._goals = Counter[Labels]()
-        self._active = Counter[Labels]()
-        self._lost = Counter[Labels]()
-        self._durations: dict[Labels, _Histogram] = {}
-        self._waits: dict[Labels, _Histogram] = {}
-        self._lags: dict[Labels, _Histogram] = {(): _Histogram()}
+        await watch_loop(self)
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
         """Count a goal that has ended."""
         labels = action, status
         self._goals[labels] += 1
         if seconds is not None:
-            self._add(self._durations, labels, seconds)
+            self._durations[labels].add(seconds)
 
     def waited(self, action: str, seconds: float) -> None:
         """Record the time from a goal's acceptance to the start of its body."""
-        self._add(self._waits, (action,), seconds)
+        self._waits[action,].add(seconds)
 
     def active_changed(self, action: str, state: str, change: int) -> None:
         """Add ``change`` to the number of goals in a state."""
@@ -168,13 +159,6 @@ class Totals:
             _histograms(LAG, self._lags),
         )
         return "".join(f"{line}\n" for lines in told for line in lines)
-
-    @staticmethod
-    def _add(histograms: dict[Labels, _Histogram], labels: Labels, value: float) -> None:
-        histogram = histograms.get(labels)
-        if histogram is None:
-            histogram = histograms[labels] = _Histogram()
-        histogram.add(value)
 
 
 class _Histogram:
@@ -205,7 +189,7 @@ def _counts(metric: _Metric, counts: Counter[Labels]) -> Iterator[str]:
         yield f"{metric.name}{metric.written(labels)} {count}"
 
 
-def _histograms(metric: _Metric, histograms: dict[Labels, _Histogram]) -> Iterator[str]:
+def _histograms(metric: _Metric, histograms: Mapping[Labels, _Histogram]) -> Iterator[str]:
     yield from metric.head()
     for labels, histogram in sorted(histograms.items()):
         count = 0
