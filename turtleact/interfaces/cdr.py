@@ -4,7 +4,7 @@ The encoding is plain CDR, version 1. Data begins with a header of four bytes. E
 a multiple of the value's size, counted from the end of the header. Data is written in little endian
 with zeros for padding, and read in either byte order.
 
-Each class gets one `Codec`, which is put together from those of its fields on first use.
+Each class gets one `Codec`, which is compiled on first use.
 
 An encoder or decoder does not say which value is wrong. A decoder never creates more elements than
 the data has bytes, whatever length the data claims: each element takes at least one byte, and the
@@ -18,18 +18,18 @@ from __future__ import annotations
 
 import array
 import functools
+import itertools
 import struct
+import sys
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidMessage, InvalidOption
-from turtleact.interfaces.conversion import name_of, snapshot
-from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm
-from turtleact.interfaces.types import Message, constructor, fields, nested_classes
+from turtleact.interfaces.conversion import Layout, Leaf, name_of, snapshot
+from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm, FieldType
+from turtleact.interfaces.types import Message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from turtleact.interfaces.definition import Field, FieldType
 
     #: Makes a sequence from the bytes of its elements.
     Make = Callable[[bytes], object]
@@ -204,106 +204,100 @@ class ManyCodec(NamedTuple):
 
 @functools.cache
 def message_codec(cls: type[Message], order: str = "<", arrays: str = "list") -> Codec:
-    """Return the codec of a message class. A message without fields takes one byte."""
-    make = constructor(cls)
-    members = [
-        (field.attribute, field_codec(cls, field, nested, order, arrays))
-        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
-    ]
-    writers = [(name, codec.write) for name, codec in members]
-    readers = [codec.read for _, codec in members]
+    """Compile the codec of a message class. A message without fields takes one byte.
 
-    def write(message: Message, out: bytearray) -> None:
-        if type(message) is not cls:
-            raise TypeError("a message of another class")
-        for name, write_field in writers:
-            write_field(getattr(message, name), out)
-        if not writers:
-            out.append(0)
+    Consecutive numbers, also those in nested messages, form a run, which ``struct`` packs at once.
+    """
+    layout = Layout(cls)
+    bools = [leaf for leaf in layout.leaves if leaf.kind == FieldType("bool")]
+    layout.checks += [f"type({leaf.text}) is bool" for leaf in bools]
+    write = [f"if not ({' and '.join(layout.checks)}): raise TypeError('another class')"]
+    read: list[str] = []
+    values = (f"v{number}" for number in itertools.count())
+    targets: list[str] = []
+    for is_run, group in itertools.groupby(layout.leaves, is_number):
+        leaves = list(group)
+        named = [next(values) for leaf in leaves if leaf.text]
+        targets += named
+        if is_run:
+            places = layout.hold(
+                runs(order, [FORMATS[leaf.kind.name] if leaf.text else "x" for leaf in leaves])
+            )
+            texts = ", ".join(leaf.text for leaf in leaves if leaf.text)
+            write.append(f"out += {places}[len(out) & 7].pack({texts})")
+            read.append(f"run = {places}[p & 7]")
+            read.append(f"[{', '.join(named)}] = run.unpack_from(data, p)")
+            read.append("p += run.size")
+            continue
+        for leaf, value in zip(leaves, named, strict=True):
+            codec = leaf_codec(leaf, order, arrays)
+            write.append(f"{layout.hold(codec.write)}({leaf.text}, out)")
+            read.append(f"{value}, p = {layout.hold(codec.read)}(data, p)")
+    read.append(f"return {layout.made(targets)}, p")
+    return Codec(layout.function("m, out", *write), layout.function("data, p", *read))
 
-    def read(data: bytes, place: int) -> tuple[Message, int]:
-        values = []
-        for read_field in readers:
-            value, place = read_field(data, place)
-            values.append(value)
-        if not readers:
-            _, place = slice_of(data, place, 1)
-        return make(*values), place
 
-    return Codec(write, read)
+def is_number(leaf: Leaf) -> bool:
+    """Whether a value is a single number or bool, or the byte of a message without fields."""
+    return leaf.kind.name in FORMATS and not leaf.kind.is_sequence
 
 
-def field_codec(
-    cls: type[Message], field: Field, nested: type[Message] | None, order: str, arrays: str
-) -> Codec:
-    """Return the codec of one field of a message class."""
-    kind = field.type
-    if kind.name in FORMATS and not kind.is_sequence:
-        return number_codec(FORMATS[kind.name], order)
+def runs(order: str, codes: Sequence[str]) -> list[struct.Struct]:
+    """Return the ``Struct`` of consecutive numbers for each remainder of their place modulo 8.
+
+    The padding before a value depends on its place.
+    """
+    found = []
+    for place in range(WIDEST):
+        text, at = order, place
+        for code in codes:
+            pad = padding(at, size_of(code))
+            text += f"{pad}x{code}"
+            at += pad + size_of(code)
+        found.append(struct.Struct(text))
+    return found
+
+
+def leaf_codec(leaf: Leaf, order: str, arrays: str) -> Codec:
+    """Return the codec of a text or a sequence."""
+    kind = leaf.kind
     if kind.name in FORMATS:
-        is_bytes = field.name in cls._shape.bytes_fields
-        many = numbers_codec(kind.name, order, "bytes" if is_bytes else arrays)
+        many = numbers_codec(kind.name, order, "bytes" if leaf.is_bytes else arrays)
         return sequence_codec(kind, many, order)
-    if nested is None:
+    if leaf.nested is None:
         element = text_codec(kind.name, kind.string_bound, order)
     else:
-        element = message_codec(nested, order, arrays)
+        element = message_codec(leaf.nested, order, arrays)
     return sequence_codec(kind, list_codec(element), order) if kind.is_sequence else element
-
-
-@functools.cache
-def number_codec(code: str, order: str) -> Codec:
-    """Return the codec of a number or a bool with this format of ``struct``.
-
-    The padding before a value depends on its place, so there is a ``Struct`` for each remainder of
-    the place modulo 8.
-    """
-    places = [
-        struct.Struct(f"{order}{padding(place, size_of(code))}x{code}") for place in range(WIDEST)
-    ]
-
-    def write(value: float, out: bytearray) -> None:
-        out += places[len(out) & 7].pack(value)
-
-    def write_bool(value: object, out: bytearray) -> None:
-        if value is not True and value is not False:  # `struct` packs any object as a bool
-            raise TypeError("not a bool")
-        out.append(value)
-
-    def read(data: bytes, place: int) -> tuple[Any, int]:
-        padded = places[place & 7]
-        return padded.unpack_from(data, place)[0], place + padded.size
-
-    return Codec(write_bool if code == "?" else write, read)
 
 
 def text_codec(name: str, bound: int | None, order: str) -> Codec:
     """Return the codec of a string or wstring: its length, then its characters."""
-    length = number_codec(COUNT, order)
+    places, longest = runs(order, [COUNT]), sys.maxsize if bound is None else bound
     code, read_text = (narrow, read_narrow) if name == "string" else (wide, READ_WIDE[order])
     width = 1 if name == "string" else 4
 
-    def check(text: str) -> str:
-        if bound is not None and len(text) > bound:
-            raise ValueError("a text beyond its bound")
-        return text
-
     def write(text: str, out: bytearray) -> None:
-        content = code(check(text))
-        length.write(len(content) // width, out)
-        out += content
+        if len(text) > longest:
+            raise ValueError("a text beyond its bound")
+        content = code(text)
+        out += places[len(out) & 7].pack(len(content) // width) + content
 
     def read(data: bytes, place: int) -> tuple[str, int]:
-        count, place = length.read(data, place)
-        content, place = slice_of(data, place, count * width)
-        return check(read_text(content)), place
+        length = places[place & 7]
+        [count] = length.unpack_from(data, place)
+        content, end = slice_of(data, place + length.size, count * width)
+        text = read_text(content)
+        if len(text) > longest:
+            raise ValueError("a text beyond its bound")
+        return text, end
 
     return Codec(write, read)
 
 
 def sequence_codec(kind: FieldType, many: ManyCodec, order: str) -> Codec:
     """Return the codec of a sequence: its length, unless that is fixed, then its elements."""
-    length = number_codec(COUNT, order)
+    places = runs(order, [COUNT])
     is_fixed, is_bounded = kind.form is ArrayForm.FIXED, kind.form is ArrayForm.BOUNDED
 
     def check(count: int) -> None:
@@ -313,32 +307,34 @@ def sequence_codec(kind: FieldType, many: ManyCodec, order: str) -> Codec:
     def write(value: Sequence[Any], out: bytearray) -> None:
         check(len(value))
         if not is_fixed:
-            length.write(len(value), out)
+            out += places[len(out) & 7].pack(len(value))
         many.write(value, out)
 
     def read(data: bytes, place: int) -> tuple[Any, int]:
-        count = kind.size
-        if not is_fixed:
-            count, place = length.read(data, place)
-            check(count)
-        return many.read(data, place, count)
+        if is_fixed:
+            return many.read(data, place, kind.size)
+        length = places[place & 7]
+        [count] = length.unpack_from(data, place)
+        check(count)
+        return many.read(data, place + length.size, count)
 
     return Codec(write, read)
 
 
 def list_codec(element: Codec) -> ManyCodec:
     """Return the codec of the texts or messages in a list."""
+    write_one, read_one = element
 
     def write(values: object, out: bytearray) -> None:
         if type(values) is not list:
             raise TypeError("not a list")
         for value in values:
-            element.write(value, out)
+            write_one(value, out)
 
     def read(data: bytes, place: int, count: int) -> tuple[list[Any], int]:
         values = []
         for _ in range(count):
-            value, place = element.read(data, place)
+            value, place = read_one(data, place)
             values.append(value)
         return values, place
 

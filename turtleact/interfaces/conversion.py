@@ -1,6 +1,8 @@
 """Makes checked copies of messages, and converts dicts and times to messages and back.
 
-The module ``values`` checks each value against the type of its field, or reports what is wrong.
+``snapshot`` runs for every goal, feedback and result. So each class gets a compiled function, which
+copies messages whose values have exactly the expected Python types. The module ``values`` converts
+all other values, or reports what is wrong.
 
 Source: builtin_interfaces/msg/Time, for the times.
 """
@@ -13,19 +15,28 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidGoal, InvalidMessage
-from turtleact.interfaces.definition import did_you_mean, zero
+from turtleact.interfaces.definition import (
+    INTEGER_RANGES,
+    PRIMITIVES,
+    ArrayForm,
+    FieldType,
+    did_you_mean,
+    zero,
+)
 from turtleact.interfaces.standard.builtin_interfaces.msg import Time
 from turtleact.interfaces.types import Message, constructor, fields, nested_classes
-from turtleact.interfaces.values import converter, describe
+from turtleact.interfaces.values import FLOAT32_LIMIT, converter, describe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from turtleact.interfaces.definition import Field
     from turtleact.interfaces.values import Convert
 
 __all__ = [
     "SECOND",
+    "Layout",
+    "Leaf",
     "error_class",
     "from_dict",
     "name_of",
@@ -154,6 +165,7 @@ class Slot(NamedTuple):
             raise InvalidMessage(f".{self.field.name}{inner.path}", inner.problem) from None
 
 
+@functools.cache
 def slots(cls: type[Message], element: Callable[[type[Message]], Convert]) -> dict[str, Slot]:
     """Return a `Slot` for each field of a class, by the field's ROS name.
 
@@ -167,17 +179,132 @@ def slots(cls: type[Message], element: Callable[[type[Message]], Convert]) -> di
     }
 
 
+class Leaf(NamedTuple):
+    """A value of a message other than a single message: a number, a text or a sequence.
+
+    Attributes:
+        text: The value as an expression, such as ``m.pose.x``; empty for a message without fields.
+        kind: The type of the value.
+        nested: The class of the messages in a sequence; None for other values.
+        is_bytes: Whether the class declares the field as ``bytes``.
+    """
+
+    text: str
+    kind: FieldType
+    nested: type[Message] | None = None
+    is_bytes: bool = False
+
+
+class Layout:
+    """The values in the messages of a class, and functions compiled for such messages.
+
+    Attributes:
+        leaves: The values, in the order in which they are sent.
+        checks: Expressions that are true if the message ``m``, and each one in it, is of its class.
+    """
+
+    def __init__(self, cls: type[Message]) -> None:
+        self.leaves: list[Leaf] = []
+        self.checks: list[str] = []
+        self._names: dict[str, object] = {}
+        self._made = self._add(cls, "m")
+
+    def _add(self, cls: type[Message], text: str) -> str:
+        """Add the values of a message. Return an expression with ``{}`` that makes the message."""
+        self.checks.append(f"type({text}) is {self.hold(cls)}")
+        values = []
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True):
+            value = f"{text}.{field.attribute}"
+            if nested is not None and not field.type.is_sequence:
+                values.append(self._add(nested, value))
+                continue
+            is_bytes = field.name in cls._shape.bytes_fields
+            self.leaves.append(Leaf(value, field.type, nested, is_bytes))
+            values.append("{}")
+        if not values:
+            self.leaves.append(Leaf("", FieldType("byte")))
+        return f"{self.hold(constructor(cls))}({', '.join(values)})"
+
+    def hold(self, value: object) -> str:
+        """Make an object available to the compiled functions, and return its name there."""
+        name = f"k{len(self._names)}"
+        self._names[name] = value
+        return name
+
+    def made(self, values: Iterable[str]) -> str:
+        """Return an expression that makes a message of these values."""
+        return self._made.format(*values)
+
+    def function(self, arguments: str, *lines: str) -> Callable[..., Any]:
+        """Compile a function.
+
+        Running the code is safe: interfaces contribute only identifiers and numbers to the code.
+        """
+        names: dict[str, Any] = dict(self._names)
+        exec("\n ".join([f"def function({arguments}):", *lines]), names)  # noqa: S102
+        function: Callable[..., Any] = names["function"]
+        return function
+
+
 @functools.cache
 def copier(cls: type[M]) -> Callable[[object], M]:
-    """Return the function that checks and copies messages of this class."""
-    members, make = tuple(slots(cls, copier).values()), constructor(cls)
+    """Return the function that checks and copies messages of this class.
 
-    def copy(message: Any) -> M:  # noqa: ANN401  # it checks that
-        if type(message) is not cls:
-            message = adapted(cls, message)
-        return make(*[slot(getattr(message, slot.attribute)) for slot in members])
+    It compares the Python types of the values, and their ranges, in a compiled function. Only if
+    one differs, `converted` converts the values or finds the one that does not fit.
+    """
+    layout = Layout(cls)
+    lines, conditions, values = [], [], []
+    for number, leaf in enumerate(leaf for leaf in layout.leaves if leaf.text):
+        kind, value, given = leaf.kind, f"v{number}", leaf.text
+        values.append(value)
+        if kind.is_sequence:
+            layout.checks.append(f"type({given}) is {'bytes' if leaf.is_bytes else 'list'}")
+            conditions.append(f"len({given}) {SIGNS[kind.form]} {kind.size}")
+        if leaf.nested is not None:
+            lines.append(f"{value} = list(map({layout.hold(copier(leaf.nested))}, {given}))")
+        elif kind.is_sequence and not leaf.is_bytes:
+            lines.append(f"{value} = [x for x in {given} if {fits(kind.element, 'x')}]")
+            conditions.append(f"len({value}) == len({given})")
+        else:
+            lines.append(f"{value} = {given}")
+            conditions += [] if leaf.is_bytes else [fits(kind, value)]
+    return layout.function(
+        "m",
+        "try:",
+        f" if {' and '.join(layout.checks)}:",
+        *(f"  {line}" for line in lines),
+        f"  if {' and '.join(conditions) or True}: return {layout.made(values)}",
+        f"except {layout.hold(InvalidMessage)}: pass",
+        f"return {layout.hold(functools.partial(converted, cls))}(m)",
+    )
 
-    return copy
+
+SIGNS = {ArrayForm.FIXED: "==", ArrayForm.BOUNDED: "<=", ArrayForm.UNBOUNDED: ">="}
+"""How the length of a sequence compares with the size in its type."""
+
+
+def fits(kind: FieldType, value: str) -> str:
+    """Return an expression that is true if a value has exactly the expected type, and fits.
+
+    It is false for text that is not ASCII, because that may contain half a surrogate pair.
+    """
+    if kind.is_string:
+        bound = "" if kind.string_bound is None else f" and len({value}) <= {kind.string_bound}"
+        return f"type({value}) is str and {value}.isascii(){bound}"
+    if kind.name in INTEGER_RANGES:
+        low, high = INTEGER_RANGES[kind.name]
+        return f"type({value}) is int and {low} <= {value} <= {high}"
+    limit = f" and -{FLOAT32_LIMIT} < {value} < {FLOAT32_LIMIT}" if kind.name == "float32" else ""
+    return f"type({value}) is {type(PRIMITIVES[kind.name]).__name__}{limit}"
+
+
+def converted(cls: type[M], message: Any) -> M:  # noqa: ANN401  # it checks that
+    """Convert a message to this class, with values of exactly the expected types."""
+    if type(message) is not cls:
+        message = adapted(cls, message)
+    copies = [slot(getattr(message, slot.attribute)) for slot in slots(cls, copier).values()]
+    return constructor(cls)(*copies)
 
 
 def adapted(cls: type[M], value: object) -> M:
@@ -220,7 +347,7 @@ def filled(cls: type[M], value: object) -> M:
     if not isinstance(value, Mapping):
         problem = f"expected {example(cls)}, got {describe(value)}"
         raise InvalidMessage("", problem + (_missing_space(value) if value else ""))
-    known = fillers(cls)
+    known = slots(cls, filler)
     arguments: dict[str, object] = {}
     for name, item in value.items():
         slot = known.get(name) if isinstance(name, str) else None
@@ -232,10 +359,9 @@ def filled(cls: type[M], value: object) -> M:
     return cls(**arguments)
 
 
-@functools.cache
-def fillers(cls: type[Message]) -> dict[str, Slot]:
-    """Return the slots of a class whose messages may be mappings."""
-    return slots(cls, lambda nested: functools.partial(filled, nested))
+def filler(nested: type[M]) -> Callable[[object], M]:
+    """Return the function that makes the messages in a field from mappings."""
+    return functools.partial(filled, nested)
 
 
 def example(cls: type[Message]) -> str:

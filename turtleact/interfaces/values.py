@@ -1,7 +1,9 @@
 """Checks values against the types of fields, and explains why a value does not fit.
 
 The path in an error is built from the inside out: a check raises an error with the inner path, and
-each caller adds a field's name or an element's index in front.
+each caller adds a field's name or an element's index in front. These checks are exact but slow. The
+module ``conversion`` compiles faster ones, which call this module only for values that are not
+exactly of the expected Python type.
 
 A ``byte`` is an int from 0 to 255; ``bytes`` of length one are accepted too. A sequence becomes a
 list, except that ``bytes`` and ``bytearray`` become ``bytes`` if the field is a sequence of bytes.
@@ -109,8 +111,6 @@ def whole_number(field_type: FieldType, value: object) -> int:
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
         return value[0]
     low, high = INTEGER_RANGES[name]
-    if type(value) is int and low <= value <= high:
-        return value
     if is_bool(value) or not hasattr(value, "__index__"):
         raise misfit(field_type, value)
     try:
@@ -125,8 +125,6 @@ def whole_number(field_type: FieldType, value: object) -> int:
 def number(field_type: FieldType, value: object) -> float:
     """Convert a real number of Python or numpy to a float, which is not rounded to float32."""
     limit, edge = FLOAT_LIMITS[field_type.name]
-    if type(value) is float and -limit < value < limit:
-        return value
     if is_bool(value) or not isinstance(value, numbers.Real):
         raise misfit(field_type, value)
     try:
