@@ -23,6 +23,7 @@ import msgspec
 from turtleact.tasks import GRACE, Background, Tasks
 from turtleact.transports.base import Closeable, Closing, Endpoint
 from turtleact.transports.memory import MemoryTransport
+from turtleact.transports.rmw_zenoh.wire import Graph
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Session
@@ -86,6 +87,7 @@ class Context:
             session gets the messages of these publishers twice: as objects from the local
             transport, and as bytes from Zenoh. The subscription uses the gids to recognize and
             ignore these bytes.
+        graph: The nodes and endpoints of other sessions.
         demand: Tells which names other processes use, and calls what waits for a name.
         is_open: Whether the transport is open.
     """
@@ -101,6 +103,7 @@ class Context:
         self.domain = domain
         self.opened: set[Closeable] = set()
         self.latched: set[bytes] = set()
+        self.graph = Graph(session.zid)
         self.demand = Demand()
         self.is_open = True
 

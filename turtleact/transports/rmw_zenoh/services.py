@@ -12,7 +12,6 @@ Source: rmw_zenoh_cpp ``rmw_client_data.cpp`` and ``rmw_service_data.cpp``.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from functools import partial
 from time import time_ns
 from typing import TYPE_CHECKING
@@ -100,7 +99,6 @@ class WireCaller:
         named: The client's endpoint.
         format: Encodes requests and decodes responses.
         target: Selects the servers that get each request, and the reply that the client uses.
-        find: Returns the servers of a service in other processes, given the service's name.
         calls: The calls of all clients that are under way.
 
     Attributes:
@@ -119,7 +117,6 @@ class WireCaller:
         named: Named,
         format: Format,
         target: Target,
-        find: Callable[[str], list[Endpoint]],
         calls: Calls,
     ) -> None:
         self._context = context
@@ -129,7 +126,6 @@ class WireCaller:
         self._format = format
         self._target = target
         self.counts = target.counts
-        self._find = find
         self._calls = calls
         self._attachments = Attachments(endpoint.gid)
         self._is_open = True
@@ -221,7 +217,8 @@ class WireCaller:
     # finding servers
 
     def _servers(self) -> list[Endpoint]:
-        return self._find(self.name)
+        found = self._context.graph.endpoints(self.name)
+        return [each for each in found if each.kind == "service"]
 
     def _fits(self, server: Endpoint) -> bool:
         ours = self._endpoint

@@ -297,16 +297,9 @@ class Session:
         """Declare the server of a service. ``take`` is called with each request."""
         with _mapped(f"declare {key}"):
             checked = zenoh.KeyExpr(key)  # checked once, not for each reply
-
-            def receive(query: zenoh.Query) -> None:  # like `_direct`, but without an extra call
-                stay_attached()
-                take(Query(query, checked))
-
+            receive = _direct(lambda query: take(Query(query, checked)))
             queryable: Declared = self._session.declare_queryable(
-                checked,
-                Callback(receive, indirect=False),
-                complete=True,
-                allowed_origin=REMOTE,
+                checked, receive, complete=True, allowed_origin=REMOTE
             )
             return queryable
 
@@ -403,8 +396,7 @@ class Querier:
             ended: Called once, after all replies and errors.
         """
 
-        def take(reply: zenoh.Reply) -> None:  # like `_direct`, but without an extra call
-            stay_attached()
+        def take(reply: zenoh.Reply) -> None:
             sample = reply.ok  # each access creates a new object
             if sample is not None:
                 replied(*_parts(sample))
@@ -414,9 +406,7 @@ class Querier:
                 failed(text, kind or (TIMEOUT if text == TIMEOUT else ""))
 
         try:
-            self.declared.get(
-                Callback(take, ended, indirect=False), payload=payload, attachment=attachment
-            )
+            self.declared.get(_direct(take, ended), payload=payload, attachment=attachment)
         except zenoh.ZError as error:
             raise _error("send a request", error) from error
 
@@ -503,17 +493,18 @@ def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
     return sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()
 
 
-def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
+def _direct(callback: Callable[[Any], object], ended: Callable[[], object] | None = None) -> Any:  # noqa: ANN401  # of whatever is declared
     """Make a handler for Zenoh that runs ``callback`` in the thread that receives the data.
 
-    The thread keeps its Python thread state; see `stay_attached`.
+    The thread keeps its Python thread state; see `stay_attached`. ``ended`` is called after all
+    data.
     """
 
     def take(value: object) -> None:
         stay_attached()
         callback(value)
 
-    return Callback(take, indirect=False)
+    return Callback(take, ended, indirect=False)
 
 
 def _congestion(is_reliable: bool) -> zenoh.CongestionControl:

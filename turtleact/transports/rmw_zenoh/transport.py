@@ -47,7 +47,6 @@ from turtleact.transports.rmw_zenoh.services import Calls, WireCaller, WireServi
 from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication, WireSubscription
 from turtleact.transports.rmw_zenoh.wire import (
-    Graph,
     all_nodes,
     all_tokens,
     data_key,
@@ -83,7 +82,7 @@ class ZenohTransport:
         self.discovery_ends = anyio.current_time() + discovery
         self._near = near
         self.context = Context(session, near, current_tasks(), domain)
-        self.graph = Graph(session.zid)
+        self.graph = self.context.graph
         self._numbers: dict[str, int] = {}
         self._services: WeakValueDictionary[tuple[str, str, str], WireService] = (
             WeakValueDictionary()
@@ -152,7 +151,7 @@ class ZenohTransport:
         ten minutes. This method raises the same errors as `advertise`.
         """
         named = self._name(endpoint, format)
-        return WireCaller(self.context, named, format, target, self._servers, self._calls)
+        return WireCaller(self.context, named, format, target, self._calls)
 
     def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service in this process."""
@@ -313,10 +312,6 @@ class ZenohTransport:
             raise TurtleactError("the Zenoh transport is closed: open another")
 
     # other sessions
-
-    def _servers(self, name: str) -> list[Endpoint]:
-        """The servers of the service ``name`` in other sessions."""
-        return [each for each in self.graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
         """Watch the tokens of other sessions. The thread of the send queue calls this method."""
