@@ -284,19 +284,12 @@ class _Topic:
     def set_readers(self, readers: tuple[_Reader, ...]) -> None:
         had_readers, self.readers = bool(self.readers), readers
         for each in self.publications:
-            each.look_for_readers()
             if each.source is not None and bool(readers) != had_readers:
                 each.source.readers_changed(has_readers=bool(readers))
 
 
 class _Publication:
-    """The sending end of a topic.
-
-    Attributes:
-        has_readers: See `Publication`. The value is cached, because publishing reads the value for
-            each message.
-        has_object_readers: See `Publication`. Cached like ``has_readers``.
-    """
+    """The sending end of a topic."""
 
     on_close: Leave
 
@@ -308,14 +301,15 @@ class _Publication:
         self._is_latched = qos.durability == "transient_local"
         self._keeps = self._is_latched and source is None
         self._latch: deque[object] = deque(maxlen=qos.depth if self._keeps else 0)
-        self.look_for_readers()
 
-    def look_for_readers(self) -> None:
+    @property
+    def has_readers(self) -> bool:
+        return self._is_open and (self._keeps or bool(self._topic.readers))
+
+    @property
+    def has_object_readers(self) -> bool:
         readers = self._topic.readers
-        self.has_readers = self._is_open and (self._keeps or bool(readers))
-        self.has_object_readers = self.has_readers and (
-            self._keeps or not all(each.takes_bytes for each in readers)
-        )
+        return self._is_open and (self._keeps or not all(each.takes_bytes for each in readers))
 
     @property
     def is_congested(self) -> bool:
@@ -358,7 +352,6 @@ class _Publication:
 
     def close(self) -> None:
         self._is_open = False
-        self.look_for_readers()
         self.on_close()
 
 
