@@ -23,7 +23,6 @@ from turtleact.transports.base import STATUS_QOS, Closeable, Publication
 
 if TYPE_CHECKING:
     from turtleact.goals.server import LocalActionServer
-    from turtleact.tasks import Tasks
     from turtleact.transports.base import MakeEndpoint, Transport
 
 __all__ = ["PauseEndpoints"]
@@ -41,17 +40,15 @@ class PauseEndpoints(ObservingSource):
         server: The server of the goals.
         transport: The transport to open the services and the topic on.
         endpoint: A function that returns the `Endpoint` for a kind, a name and a type.
-        tasks: The functions that start and manage tasks on asyncio or trio.
     """
 
     def __init__(
-        self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint, tasks: Tasks
+        self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint
     ) -> None:
         super().__init__(server.observers)
         self._server = server
         self._transport = transport
         self._endpoint = endpoint
-        self._tasks = tasks
         self._services: list[LocalServiceServer[Any, Any]] = []
         self._opened: list[Closeable] = []
         self._publication: Publication | None = None
@@ -89,7 +86,7 @@ class PauseEndpoints(ObservingSource):
         return [encode(message) for message in self.current()]
 
     def _serve(self, service: Any, name: str, handle: Callable[[Any], Any]) -> None:  # noqa: ANN401
-        server = LocalServiceServer(service, name, handle, tasks=self._tasks)
+        server = LocalServiceServer(service, name, handle, tasks=self._server.tasks)
         endpoint = self._endpoint("service", name, service.type_name)
         self._services.append(server)
         self._opened.append(self._transport.serve(endpoint, WireFormat(service), server))

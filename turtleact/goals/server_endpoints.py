@@ -19,7 +19,7 @@ Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -51,7 +51,7 @@ from turtleact.interfaces.standard import (
     GoalStatusMessage,
 )
 from turtleact.names import ActionNames
-from turtleact.tasks import GRACE, Background, Tasks, wait_while
+from turtleact.tasks import GRACE, Background, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
     CallObserver,
@@ -96,10 +96,12 @@ class ActionEndpoints:
         names: The names of the endpoints.
         transport: The transport to open the endpoints on.
         endpoint: A function that returns the `Endpoint` for a kind, a name and a type.
-        tasks: The functions that start and manage tasks on asyncio or trio.
         introspection: Whether the three services publish events, with or without the contents of
             requests and responses.
     """
+
+    _feedback: FeedbackTopic
+    _reasons: ReasonTopic
 
     def __init__(
         self,
@@ -107,21 +109,28 @@ class ActionEndpoints:
         names: ActionNames,
         transport: Transport,
         endpoint: MakeEndpoint,
-        tasks: Tasks,
         introspection: Introspection = "off",
     ) -> None:
         self._server = server
         self._names = names
         self._transport = transport
         self._endpoint = endpoint
-        self._cancel_goal = _CancelGoal(server, names, transport, tasks)
-        self._get_result = _GetResult(server, names.get_result, tasks)
-        self._send_goal = _SendGoal(server, names.send_goal, tasks)
         self._introspection = introspection
+        self._cancel_goal = _ActionService(
+            server, names.cancel_goal, lambda: CancelGoal, self._answer_cancel
+        )
+        self._get_result = _ActionService(
+            server, names.get_result, lambda: self._implied.get_result, self._answer_result
+        )
+        self._send_goal = _ActionService(
+            server, names.send_goal, lambda: self._implied.send_goal, self._answer_goal
+        )
         if introspection == "off":
             self._send_goal.goal_server = server
+        self._has_senders = False
+        self._told: set[bytes] = set()  # the goals whose results were given while closing
         self._unlisted: MakeEndpoint = partial(_unlisted, endpoint)
-        self._pausing = PauseEndpoints(server, transport, self._unlisted, tasks)
+        self._pausing = PauseEndpoints(server, transport, self._unlisted)
         self._services: list[Closeable] = []
         self._topics: list[Closeable] = []
 
@@ -130,11 +139,16 @@ class ActionEndpoints:
         """Whether the server has received a request that is not answered yet."""
         return any(each.waiting for each in (self._send_goal, self._cancel_goal, self._get_result))
 
+    @cached_property
+    def _implied(self) -> Implied:
+        """The types of the services and of the feedback message, made when first needed."""
+        return implied(cast("type[Action]", self._server.spec.action_type))
+
     def open(self) -> None:
         """Open the endpoints, so that the action appears on the graph."""
         action = self._server.spec.action_type.type_name
         describe, names = self._endpoint, self._names
-        services: tuple[tuple[_ActionService, str], ...] = (
+        services = (
             (self._cancel_goal, CancelGoal.type_name),
             (self._get_result, f"{action}_GetResult"),
             (self._send_goal, f"{action}_SendGoal"),  # last: clients that see it expect the others
@@ -143,18 +157,16 @@ class ActionEndpoints:
             described = describe("service", service.name, type_name)
             service.observer = self._observer(service, described)
         self._pausing.open()
-        reasons = ReasonTopic(self._server, self._transport, self._unlisted)
-        self._topics.append(reasons)
-        self._send_goal.on_rejection = reasons.rejected
+        self._reasons = ReasonTopic(self._server, self._transport, self._unlisted)
         for service, type_name in services:
             described = describe("service", service.name, type_name)
             offered = self._transport.serve(described, WireFormat(service.find_type), service)
             self._services.append(offered)
         described = describe("publisher", names.feedback, f"{action}_FeedbackMessage")
-        feedback = FeedbackTopic(self._server, self._transport, described)
+        self._feedback = FeedbackTopic(self._server, self._transport, described)
         described = describe("publisher", names.status, GoalStatusArray.type_name, STATUS_QOS)
-        self._topics += feedback, StatusTopic(self._server, self._transport, described)
-        self._send_goal.expect_readers = feedback.expect_readers
+        status = StatusTopic(self._server, self._transport, described)
+        self._topics += self._reasons, self._feedback, status
 
     def _observer(self, service: _ActionService, endpoint: Endpoint) -> CallObserver | None:
         """Return the observer that publishes a service's events; None if introspection is off."""
@@ -191,9 +203,96 @@ class ActionEndpoints:
             isinstance(goal.sender, bytes)
             and goal.sender != b""
             and goal.reason in reasons
-            and goal.id not in self._get_result.told
+            and goal.id not in self._told
             for goal in self._server.held().values()
         )
+
+    # answers to requests
+
+    async def _answer_goal(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
+        """Accept or reject a goal."""
+        if not self._has_senders:
+            self._has_senders = True
+            self._feedback.expect_readers()
+        response = self._implied.send_goal.Response
+        try:
+            if not any(request.goal_id.uuid):
+                raise GoalRejected(NAMELESS)
+            goal = await self._server.send(GoalRequest(request.goal, caller, request.goal_id.uuid))
+        except GoalRejected as rejected:
+            self._reasons.rejected(bytes(request.goal_id.uuid), rejected.reason)
+            note = GoalMetadata(rejected.reason, is_closing=not self._server.is_open)
+            return Reply(response(accepted=False), note.write())
+        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), OURS)
+
+    async def _answer_cancel(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
+        """Cancel goals of all servers in this process that serve an action of this name."""
+        goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
+        handlers = self._transport.all_local(self._names.cancel_goal, CancelGoal.type_name)
+        servers = [each.server for each in handlers if isinstance(each, _ActionService)]
+        return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
+
+    async def _answer_result(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
+        """Answer with the result of a goal, once the goal has ended."""
+        response = self._implied.get_result.Response
+        await self._server.wait_until_restored()
+        goal = self._server.find(request.goal_id.uuid)
+        if goal is None:
+            return Reply(response(status=GoalStatus.UNKNOWN), OURS)
+        await goal.wait_for_end()
+        if goal.error is not None:  # the server stops, and the goal goes on after a restart
+            raise goal.error
+        if not self._server.is_open:
+            self._told.add(goal.id)
+        note = GoalMetadata(goal.reason, goal.log.count).write()
+        return Reply(response(status=int(goal.status), result=cast("Any", goal.result)), note)
+
+
+class _ActionService(ServiceHandler):
+    """One of the action's three services.
+
+    A request needs no check: decoding it, or the service client in this process, has checked it.
+
+    Attributes:
+        server: The action server that the service belongs to.
+        name: The name of the service.
+        find_type: Returns the class of the service, which is made when it is first needed.
+        goal_server: For ``send_goal``: the server that clients in the same process call directly;
+            see `turtleact.goals.server`. If introspection is on, it is missing. Clients in the same
+            process then send requests, as clients in other processes do.
+        answered: A signal that fires whenever a request has been answered.
+        observer: The observer of the service's calls; None if there is none.
+        waiting: The number of requests that are not answered yet.
+    """
+
+    goal_server: LocalActionServer
+
+    def __init__(
+        self,
+        server: LocalActionServer,
+        name: str,
+        find_type: Callable[[], Any],
+        answer: Callable[[Any, bytes], Awaitable[Reply]],
+    ) -> None:
+        self.server = server
+        self.name = name
+        self.find_type = find_type
+        self.answered = server.tasks.signal()
+        self.waiting = 0
+        self._answer = answer
+
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a request. ``caller`` is the client's gid."""
+        self.waiting += 1
+        try:
+            return await self._answer(request, caller)
+        finally:
+            self.waiting -= 1
+            self.answered.fire()
+
+    def caller_lost(self, caller: bytes) -> None:
+        """Tell the server that a client in another process has gone."""
+        self.server.client_lost(caller)
 
 
 class FeedbackTopic(Source):
@@ -368,164 +467,6 @@ class ReasonTopic(ObservingSource):
 
     def _publish(self, goal_id: bytes, status: GoalStatus, reason: str) -> None:
         self._publication.publish(GoalReason(UUID(goal_id), int(status), reason))
-
-
-class _ActionService(ServiceHandler):
-    """One of the action's three services. Its message classes are made when they are first needed.
-
-    A request needs no check: decoding it, or the service client in this process, has checked it.
-
-    Attributes:
-        server: The action server that the service belongs to.
-        name: The name of the service.
-        answered: A signal that fires whenever a request has been answered.
-        observer: The observer of the service's calls; None if there is none.
-        waiting: The number of requests that are not answered yet.
-    """
-
-    def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
-        self.server = server
-        self.name = name
-        self.answered = tasks.signal()
-        self.waiting = 0
-
-    def find_type(self) -> Any:  # noqa: ANN401  # a service class
-        """Return the class of the service."""
-        raise NotImplementedError
-
-    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        """Answer a request. ``caller`` is the client's gid."""
-        raise NotImplementedError
-
-    async def reply(self, request: object, caller: bytes) -> Reply:
-        """Count a request, and answer it."""
-        self.waiting += 1
-        try:
-            return await self.handle(request, caller)
-        finally:
-            self.waiting -= 1
-            self.answered.fire()
-
-    @cached_property
-    def _implied(self) -> Implied:
-        return implied(cast("type[Action]", self.server.spec.action_type))
-
-
-class _SendGoal(_ActionService):
-    """Accepts or rejects goals.
-
-    Attributes:
-        goal_server: The server that clients in the same process call directly; see
-            `turtleact.goals.server`. If introspection is on, `goal_server` is missing. Clients
-            in the same process then send requests, as clients in other processes do.
-        expect_readers: Called when the first goal from another process arrives. A client that sends
-            a goal also reads feedback.
-        on_rejection: Called when a goal is rejected, with the goal's id and the reason.
-    """
-
-    goal_server: LocalActionServer
-
-    def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
-        super().__init__(server, name, tasks)
-        self.expect_readers: Callable[[], None] | None = None
-        self.on_rejection: Callable[[bytes, str], None] | None = None
-
-    def find_type(self) -> Any:  # noqa: ANN401  # a service class
-        return self._implied.send_goal
-
-    def caller_lost(self, caller: bytes) -> None:
-        """Tell the server that a client in another process has gone."""
-        self.server.client_lost(caller)
-
-    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        try:
-            goal_request = self._read(request, caller)
-            goal = await self.server.send(goal_request)
-        except GoalRejected as rejected:
-            return self._rejected(request, rejected)
-        return self._accepted(goal)
-
-    def _read(self, request: Any, caller: bytes) -> GoalRequest:  # noqa: ANN401
-        if caller and self.expect_readers is not None:
-            self.expect_readers()
-            self.expect_readers = None
-        goal_id = request.goal_id.uuid
-        if not any(goal_id):
-            raise GoalRejected(NAMELESS)
-        return GoalRequest(request.goal, caller, goal_id)
-
-    def _accepted(self, goal: Goal) -> Reply:
-        response = self._implied.send_goal.Response
-        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), OURS)
-
-    def _rejected(self, request: Any, rejected: GoalRejected) -> Reply:  # noqa: ANN401
-        if self.on_rejection is not None:
-            self.on_rejection(bytes(request.goal_id.uuid), rejected.reason)
-        note = GoalMetadata(rejected.reason, is_closing=not self.server.is_open)
-        return Reply(self._implied.send_goal.Response(accepted=False), note.write())
-
-
-class _CancelGoal(_ActionService):
-    """Cancels goals.
-
-    A request applies to every server in this process with the same action name, even if the
-    servers' action types differ.
-    """
-
-    def __init__(
-        self, server: LocalActionServer, names: ActionNames, transport: Transport, tasks: Tasks
-    ) -> None:
-        super().__init__(server, names.cancel_goal, tasks)
-        self._transport = transport
-
-    def find_type(self) -> Any:  # noqa: ANN401  # a service class
-        return CancelGoal
-
-    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
-        goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
-        servers = (self.server, *self._siblings())
-        return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
-
-    def _siblings(self) -> list[LocalActionServer]:
-        """Return the other servers in this process that serve an action of the same name."""
-        handlers = self._transport.all_local(self.name, CancelGoal.type_name)
-        return [
-            each.server for each in handlers if isinstance(each, _CancelGoal) and each is not self
-        ]
-
-
-class _GetResult(_ActionService):
-    """Answers with the results of goals, once the goals have ended.
-
-    Attributes:
-        told: The goals whose results were given after the closing began.
-    """
-
-    def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
-        super().__init__(server, name, tasks)
-        self.told: set[bytes] = set()
-
-    def find_type(self) -> Any:  # noqa: ANN401  # a service class
-        return self._implied.get_result
-
-    async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
-        await self.server.wait_until_restored()
-        goal = self.server.find(request.goal_id.uuid)
-        if goal is None:
-            return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
-        await goal.wait_for_end()
-        if goal.error is not None:  # the server stops, and the goal goes on after a restart
-            raise goal.error
-        return self._end(goal)
-
-    def _end(self, goal: Goal) -> Reply:
-        if not self.server.is_open:
-            self.told.add(goal.id)
-        result: Any = goal.result
-        message = self._implied.get_result.Response(status=int(goal.status), result=result)
-        if goal.reason or goal.log.count:
-            return Reply(message, GoalMetadata(goal.reason, goal.log.count).write())
-        return Reply(message, OURS)
 
 
 def _unlisted(

@@ -227,7 +227,7 @@ class Node:
             durable.is_built_in = on_conflict == "withdraw"
         endpoint = partial(self._endpoint, on_demand=on_demand)
         shown = options.get("introspection") or self.introspection
-        endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks, shown)
+        endpoints = ActionEndpoints(local, names, self.transport, endpoint, shown)
         server: ActionServer[G, R, F] = ActionServer(
             self, action_type, local, endpoints, rivals, partial(self._restoring.add, durable)
         )
