@@ -248,12 +248,12 @@ class PlaceRequest:
         context: The sender's context, in which the body will run.
     """
 
-    __slots__ = ("_user", "action", "context", "goal")
+    __slots__ = ("_server", "action", "context", "goal")
 
-    def __init__(self, user: SlotUser, goal: Goal) -> None:
-        self._user = user
+    def __init__(self, server: LocalActionServer, goal: Goal) -> None:
+        self._server = server
         self.goal = goal
-        self.action = user.server.name
+        self.action = server.name
         self.context: Context = copy_context()
 
     @property
@@ -263,15 +263,17 @@ class PlaceRequest:
 
     def start(self) -> None:
         """Start the goal when its turn has come, unless the goal has ended meanwhile."""
-        self._user.start(self)
+        if self.goal.body is self and not self.goal.is_ending:
+            self.goal.body = None
+            self._server.start(self.goal, self.context)
 
     def cancel(self) -> None:
         """End the goal, which has not yet got a place in the slot."""
-        self._user.server.end_canceled(self.goal)
+        self._server.end_canceled(self.goal)
 
     def evict(self, reason: str) -> None:
         """Cancel the goal for ``reason``: end it if it still waits, otherwise cancel its body."""
-        self._user.server.evict(self.goal, reason)
+        self._server.evict(self.goal, reason)
 
 
 class SlotUser:
@@ -290,12 +292,10 @@ class SlotUser:
         self._slot = server.slot = slot
         self._begin, server.begin = server.begin, self.begin
         self._retire, server.retire = server.retire, self.retire
-        self._is_closed = False
-        self._aclose, server.aclose = server.aclose, self.aclose
 
     def begin(self, goal: Goal) -> None:
         """Request a place for a goal: the goal starts, waits or is rejected."""
-        request = PlaceRequest(self, goal)
+        request = PlaceRequest(self.server, goal)
         verdict = self._slot.enter(request)
         if verdict.decision is Decision.REJECT:
             self.server.table.forget(goal)
@@ -311,17 +311,9 @@ class SlotUser:
             if each is not None:
                 each.evict(verdict.reason)
 
-    def start(self, request: PlaceRequest) -> None:
-        """Start a goal that has waited for its place."""
-        if request.goal.body is request and not self._is_closed:
-            request.goal.body = None
-            self.server.start(request.goal, request.context)
-
     def retire(self, goal: Goal) -> None:
         """Let a goal go, and start the goal that gets its place."""
         self._retire(goal)
-        if self._is_closed:  # no goal gets a place any more
-            return
         following, overdue = self._slot.leave(goal), self._slot.overdue()
         if overdue is not None:
             for each in overdue.evicted:
@@ -330,8 +322,3 @@ class SlotUser:
         # must not run inside the step of the body that has just ended.
         if following is not None:
             self.server.tasks.call_soon(following.start)
-
-    async def aclose(self) -> None:
-        """Close the server, and give no places from then on."""
-        await self._aclose()
-        self._is_closed = True

@@ -32,7 +32,7 @@ import msgspec
 
 from turtleact.errors import PauseRefused, ServerUnavailable, summary
 from turtleact.goals.body import ServerOptions
-from turtleact.goals.observers import GoalObserver, News
+from turtleact.goals.observers import GoalObserver
 from turtleact.goals.running import BodyTask
 from turtleact.goals.server import GoalServer, LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
@@ -186,11 +186,6 @@ class Pauses(GoalObserver):
         if after.is_terminal:
             self._withdraw(goal, request)
             self._free_later(goal, request)
-
-    def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
-        """Forget a paused goal whose server has stopped. Its journal knows that it is paused."""
-        if goal.ended and (request := self._requests.get(goal)) is not None:
-            self._withdraw(goal, request)
 
     async def aclose(self) -> None:
         """Close the server, and stop the tasks that resume the children of goals that ended."""

@@ -608,10 +608,8 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
             raise InvalidGoalId(str(goal_id), problem, 0) from None
     if isinstance(goal_id, uuid.UUID):
         goal_id = goal_id.bytes
-    if not isinstance(goal_id, bytes):
+    if not isinstance(goal_id, bytes) or len(goal_id) != 16:
         raise InvalidGoalId(repr(goal_id), "a goal id has 16 bytes, or is a UUID", 0)
-    if len(goal_id) != 16:
-        raise InvalidGoalId(goal_id.hex(), "a goal id has 16 bytes", 0)
     if not any(goal_id):
         raise InvalidGoalId(goal_id.hex(), "a goal id must not be all zeros", 0)
     return goal_id

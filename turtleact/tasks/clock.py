@@ -229,7 +229,6 @@ class WallClock(ScaledClock):
 
     def __init__(self) -> None:
         super().__init__()
-        self._made = self._wall_start
         if self._wall is time.monotonic:
             self.now = time.time_ns  # type: ignore[method-assign]  # follows the system time
 
@@ -240,12 +239,7 @@ class WallClock(ScaledClock):
         """
         super().stop_at(moment)
         if self._wall is time.monotonic:
-            self.now = self._behind  # type: ignore[method-assign]  # as above
-
-    def _behind(self) -> int:
-        """Return the system time (ns), minus the time for which this clock was stopped."""
-        stood = self._wall() - self._made - self.time()
-        return time.time_ns() - round(stood * 1e9)
+            self.now = super().now  # type: ignore[method-assign]  # behind from now on
 
     async def _sleep(self, deadline: float, left: float) -> None:
         await self._wait(deadline, left)
