@@ -319,7 +319,7 @@ async def test_what_a_body_does_behind_its_result_does_not_change_it():
         assert await served.client.send_goal(goal()) == result(0, 1)
 
 
-async def test_a_result_is_not_changed_after_the_end():
+async def test_feedback_and_a_partial_result_after_the_end_raise():
     handles: list[Any] = []
 
     async def body(request, handle):
@@ -330,6 +330,8 @@ async def test_a_result_is_not_changed_after_the_end():
         assert await served.client.send_goal(goal()) == result(1)
         with pytest.raises(InvalidTransition, match="a partial result is not allowed"):
             handles[0].set_partial_result(result(9))
+        with pytest.raises(InvalidTransition, match="SUCCEEDED: feedback is not allowed"):
+            handles[0].publish_feedback(feedback(1))
 
 
 def canceled_future() -> asyncio.Future[Any]:

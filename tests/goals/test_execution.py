@@ -21,7 +21,6 @@ from turtleact.errors import (
     Abort,
     Cancel,
     InvalidMessage,
-    InvalidTransition,
 )
 from turtleact.goals.running import BURST
 from turtleact.goals.state import FeedbackLog
@@ -696,19 +695,6 @@ async def test_wrong_feedback_raises_at_the_publishing_line(style, wrong, proble
 
     outcome = await end_of({"coroutine": coroutine, "generator": generator}[style], send)
     assert outcome == Outcome(GoalStatus.SUCCEEDED, result(1))
-
-
-async def test_feedback_after_the_end_raises(send):
-    handles = []
-
-    async def body(goal, handle):
-        handles.append(handle)
-        return result(1)
-
-    async with lab(body) as served:
-        await send(served, goal())
-        with pytest.raises(InvalidTransition, match="SUCCEEDED: feedback is not allowed"):
-            handles[0].publish_feedback(feedback(1))
 
 
 async def test_a_body_sees_that_it_was_asked_to_cancel(send):

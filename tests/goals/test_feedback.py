@@ -46,22 +46,6 @@ def test_what_is_kept_is_a_run_that_ends_with_the_newest(steps: list[str], befor
     assert log.items == list(range(log.dropped, log.count))
 
 
-@pytest.mark.parametrize("count", [0, 1, KEPT, KEPT + 1, 2 * KEPT, 10 * KEPT + 7])
-def test_the_newest_are_kept_without_a_reader(count: int):
-    log = log_of(count)
-    assert min(count, KEPT) <= len(log.items) < 2 * KEPT
-    assert log.count == count
-
-
-@pytest.mark.parametrize("read", [0, 1, KEPT, 3 * KEPT])
-def test_what_the_sender_has_not_read_is_kept(read: int):
-    log = FeedbackLog(is_kept=True)
-    log.read = read
-    for number in range(10 * KEPT):
-        log.append(number)
-    assert log.items[read - log.dropped :] == list(range(read, 10 * KEPT))
-
-
 def test_trimming_moves_the_rest_only_once_it_is_worth_it():
     log = log_of(KEPT + 1)
     log.trim()
@@ -85,23 +69,6 @@ def test_a_reader_far_behind_does_not_make_each_message_dear():
 
 
 # --- who is waited for ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("unread", "full"), [(KEPT - 1, False), (KEPT, True)])
-def test_a_body_should_wait_once_so_many_are_unread(unread: int, full: bool):
-    log = log_of(KEPT + 5)
-    log.read = KEPT + 5 - unread
-    assert log.is_full is full
-
-
-@pytest.mark.parametrize(("unread", "full"), [(10, False), (11, True)])
-def test_a_body_should_wait_once_so_many_bytes_are_unread(unread: int, full: bool):
-    log = FeedbackLog(is_kept=True)
-    log.read = 0
-    for _ in range(unread):
-        log.append(LARGE)
-    log.weigh()
-    assert log.is_full is full
 
 
 @pytest.mark.parametrize("period", [1, 2, 3, 5, 8, 16])

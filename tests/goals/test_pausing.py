@@ -178,48 +178,34 @@ async def test_a_goal_that_has_ended_or_is_being_canceled_is_not_paused():
         with pytest.raises(PauseRefused, match="it has ended"):
             await handle.pause()
 
-    async def stubborn(request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
-        try:
-            yield feedback()
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.wait()
-
-    gate = anyio.Event()
-    async with lab(stubborn) as served, served.client.send_goal(goal()) as handle:
+    gate = Gate()
+    async with lab(gate.tidy, pausable=True) as served, served.client.send_goal(goal()) as handle:
         await take_turns()
         await handle.cancel()
         with pytest.raises(PauseRefused, match="being canceled"):
             await handle.pause()
-        gate.set()
+        gate.opened.set()
 
 
-@pytest.mark.parametrize("is_closed", [False, True])
-async def test_a_cancel_and_the_end_of_the_server_reach_a_paused_body_at_once(style, is_closed):
+@pytest.mark.parametrize("by", ["cancel", "shutdown", "preempted"])
+async def test_a_cancel_a_preemption_and_a_shutdown_reach_a_paused_body_at_once(style, by):
     walker = Walker()
+    options: Any = {"policy": "preempt", **STYLES[style]}
     async with (
-        lab(getattr(walker, style), **STYLES[style]) as served,
+        lab(getattr(walker, style), **options) as served,
         served.client.send_goal(goal(MANY)) as handle,
     ):
         await handle.pause()
-        await (served.server.aclose() if is_closed else handle.cancel())
-        with pytest.raises(GoalAborted if is_closed else GoalCanceled):
+        if by == "cancel":
+            await handle.cancel()
+        elif by == "shutdown":
+            await served.server.aclose()
+        else:
+            walker.steps = 0
+            assert await served.client.send_goal(goal(1)) == result(1)
+        with pytest.raises(GoalCanceled if by == "cancel" else GoalAborted, match=by):
             await handle.result()
         assert not handle.is_paused
-
-
-async def test_a_preemption_reaches_a_paused_body():
-    walker = Walker()
-    async with (
-        lab(walker.generator, policy="preempt") as served,
-        served.client.send_goal(goal(MANY)) as handle,
-    ):
-        await handle.pause()
-        walker.steps = 0
-        assert await served.client.send_goal(goal(1)) == result(1)
-        with pytest.raises(GoalAborted, match="preempted"):
-            await handle.result()
 
 
 async def test_a_paused_goal_keeps_its_slot():
@@ -234,7 +220,8 @@ async def test_a_paused_goal_keeps_its_slot():
         assert second.status is GoalStatus.ACCEPTED
 
 
-async def test_a_waiting_goal_begins_paused():
+@pytest.mark.parametrize("is_canceled", [False, True])
+async def test_a_waiting_goal_begins_paused_and_never_runs_its_body_if_it_is_canceled(is_canceled):
     gate = Gate()
     async with (
         lab(gate.wait, policy="queue", pausable=True) as served,
@@ -246,25 +233,10 @@ async def test_a_waiting_goal_begins_paused():
         await first.result()
         await take_turns()
         assert (second.status, gate.log.count("begun")) == (GoalStatus.EXECUTING, 1)
-        await second.resume()
-        assert await second.result() == result(3)
-
-
-async def test_a_goal_that_began_paused_and_is_canceled_never_runs_its_body():
-    gate = Gate()
-    async with (
-        lab(gate.wait, policy="queue", pausable=True) as served,
-        served.client.send_goal(goal()) as first,
-        served.client.send_goal(goal()) as second,
-    ):
-        await second.pause()
-        gate.opened.set()
-        await first.result()
-        await take_turns()
-        await second.cancel()
-        with pytest.raises(GoalCanceled):
-            await second.result()
-    assert gate.log == ["begun", "over"]
+        await (second.cancel() if is_canceled else second.resume())
+        ends = GoalStatus.CANCELED if is_canceled else GoalStatus.SUCCEEDED
+        assert (await second.outcome()).status is ends
+    assert gate.log.count("begun") == 2 - is_canceled
 
 
 @asynccontextmanager
@@ -582,16 +554,21 @@ async def test_a_child_in_another_process_that_refuses_refuses_for_its_parent():
             assert not handle.is_paused
 
 
-async def test_users_of_ros_pause_all_goals_of_an_action():
+async def test_users_of_ros_pause_all_goals_of_an_action_those_that_wait_too():
     walker = Walker()
-    async with lab(walker.generator) as served, served.client.send_goal(goal(MANY)) as handle:
-        await take_turns()
+    async with (
+        lab(walker.generator, policy="queue") as served,
+        served.client.send_goal(goal(MANY)) as first,
+        served.client.send_goal(goal(MANY)) as second,
+    ):
         pause = served.node.service_client(Trigger, "count/pause")
         resume = served.node.service_client(Trigger, "count/resume")
-        assert (await pause.call(Trigger.Request())).message == "1 goal paused"
-        assert handle.is_paused
+        assert (await pause.call(Trigger.Request())).message == "2 goals paused"
+        await first.cancel()
+        assert await walker.stands_still()
+        assert (second.status, second.is_paused) == (GoalStatus.EXECUTING, True)
         assert (await resume.call(Trigger.Request())).message == "1 goal resumed"
-        assert not handle.is_paused
+        assert not second.is_paused
 
 
 async def test_users_of_ros_are_told_what_cannot_be_paused():
@@ -600,20 +577,6 @@ async def test_users_of_ros_are_told_what_cannot_be_paused():
         answer = await pause.call(Trigger.Request())
         assert not answer.success
         assert answer.message.startswith("0 of 1 goal paused; goal 000102")
-
-
-async def test_users_of_ros_pause_waiting_goals_too():
-    walker = Walker()
-    async with (
-        lab(walker.generator, policy="queue") as served,
-        served.client.send_goal(goal(MANY)) as first,
-        served.client.send_goal(goal(MANY)) as second,
-    ):
-        pause = served.node.service_client(Trigger, "count/pause")
-        assert (await pause.call(Trigger.Request())).message == "2 goals paused"
-        await first.cancel()
-        assert await walker.stands_still()
-        assert (second.status, second.is_paused) == (GoalStatus.EXECUTING, True)
 
 
 async def test_a_client_knows_that_somebody_else_has_paused_its_goal():

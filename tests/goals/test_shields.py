@@ -256,25 +256,6 @@ async def test_a_body_may_await_its_own_action_as_deep_as_it_likes(way, waits):
         assert served.active == []
 
 
-@pytest.mark.parametrize("way", ["awaited", "entered"])
-async def test_a_cancel_reaches_the_deepest_goal(way):
-    async def act(request: Count.Goal) -> Any:
-        if request.upto == 0:
-            await anyio.sleep_forever()
-        if way == "awaited":
-            return await served.client.send_goal(goal(request.upto - 1))
-        async with served.client.send_goal(goal(request.upto - 1)) as handle:
-            return await handle.result()
-
-    async with lab(act) as served:
-        async with served.client.send_goal(goal(60)) as handle:
-            while len(served.active) <= 60:
-                await anyio.lowlevel.checkpoint()
-            await handle.cancel()
-            assert (await handle.outcome()).status is GoalStatus.CANCELED
-        assert served.active == []
-
-
 async def test_a_deep_failure_reaches_the_top():
     async def act(request: Count.Goal) -> Any:
         if request.upto == 0:
