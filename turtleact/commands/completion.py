@@ -10,7 +10,6 @@ function fails, `turtleact.cli` prints nothing, because an error would disturb t
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -65,10 +64,6 @@ EMBEDDED: Final = {
 }
 """The actions, with their types, of the world that ``send-goal`` starts if it finds no graph."""
 
-LARGEST: Final = 100_000
-"""Only this many characters of a file are searched for turtleact."""
-
-_DECLARING: Final = re.compile(r"\bturtleact\b")
 _FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
 
 
@@ -200,17 +195,12 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
 
 
 def targets(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """Offer the Python files that mention turtleact, those of the working directory as modules."""
+    """Offer the Python files, those of the working directory as modules."""
     folder, slash, begun = incomplete.rpartition("/")
-    files = [each for each in sorted(Path(folder or slash).glob("*.py")) if _mentions_us(each)]
+    files = sorted(Path(folder or slash).glob("*.py"))
     if slash or "." in begun:
         return [f"{folder}{slash}{each.name}" for each in files]
     return [each.stem if each.stem.isidentifier() else each.name for each in files]
-
-
-def _mentions_us(file: Path) -> bool:
-    with file.open(encoding="utf-8", errors="replace") as opened:
-        return bool(_DECLARING.search(opened.read(LARGEST)))
 
 
 # programs

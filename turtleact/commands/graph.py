@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from turtleact.commands.access_config import mode_of
@@ -332,13 +332,11 @@ async def note_pause(node: Node) -> None:
 
     if WORLD_STATE not in {each.name for each in node.transport.endpoints()}:
         return
-    client = node.service_client(GetSimulationState, WORLD_STATE)
-    try:
-        response = await client.call(GetSimulationState.Request(), PATIENCE)
-    except TurtleactError:
-        return  # the world is silent or gone; the user's own server tells what matters
-    finally:
-        await client.aclose()
+    async with aclosing(node.service_client(GetSimulationState, WORLD_STATE)) as client:
+        try:
+            response = await client.call(GetSimulationState.Request(), PATIENCE)
+        except TurtleactError:
+            return  # the world is silent or gone; the user's own server tells what matters
     if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
         note(f"the world is paused; {RESUMES} resumes it")
 

@@ -19,6 +19,7 @@ import json
 import sys
 import uuid
 from collections.abc import Iterable
+from contextlib import aclosing
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias, cast
 
 import anyio
@@ -351,7 +352,7 @@ async def _listen(
     topic = action_names(name).status
     subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
     servers = node.count_publishers(topic)
-    try:
+    async with aclosing(subscription):
         while servers > 0:
             message = await anext(subscription)
             for each in message.status_list:
@@ -362,8 +363,6 @@ async def _listen(
             # Several servers are therefore heard until the caller ends this.
             if servers == 1:
                 break
-    finally:
-        await subscription.aclose()
 
 
 async def _with_pauses(node: Node, goals: list[HeldGoal]) -> list[HeldGoal]:
@@ -372,11 +371,9 @@ async def _with_pauses(node: Node, goals: list[HeldGoal]) -> list[HeldGoal]:
 
     async def listen(action: str) -> None:
         subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
-        try:
+        async with aclosing(subscription):
             message = await anext(subscription)
             paused.update(bytes(each.uuid) for each in message.goal_ids)
-        finally:
-            await subscription.aclose()
 
     async with (
         within(_patience(node, PAUSED_PATIENCE), node.clock),
@@ -427,26 +424,20 @@ async def _problem(node: Node, goal: HeldGoal, what: Change, timeout: float) -> 
 
 async def _cancel(node: Node, action: str, goal_id: bytes, timeout: float) -> CancelGoal.Response:
     """Send a cancel request, and return the response. Raises the errors of the service client."""
-    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
-    try:
-        request = CancelGoal.Request(GoalInfo(UUID(goal_id)))
-        response: CancelGoal.Response = await client.call(request, timeout)
-        return response
-    finally:
-        await client.aclose()
+    async with aclosing(
+        node.service_client(CancelGoal, action_names(action).cancel_goal)
+    ) as client:
+        return await client.call(CancelGoal.Request(GoalInfo(UUID(goal_id))), timeout)
 
 
 async def _set_paused(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float) -> str:
     """Pause or resume a goal, and wait until its server has done so. Return why it does not."""
-    client = node.service_client(SetPaused, set_paused_service(goal.action))
-    try:
+    async with aclosing(node.service_client(SetPaused, set_paused_service(goal.action))) as client:
         if not await client.wait_for_service(ANSWER):
             return "its server does not offer that; is it a server of turtleact?"
         request = SetPaused.Request(UUID(goal.goal_id), is_paused, timeout)
         response = await client.call(request, timeout + PATIENCE)
         return "" if response.success else response.message
-    finally:
-        await client.aclose()
 
 
 # the list of goals

@@ -16,6 +16,7 @@ article "ROS Command Line Arguments" and rcl_yaml_param_parser for initial value
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import aclosing
 from typing import TYPE_CHECKING, TypeVar
 
 from turtleact.commands.message_text import read_text_file
@@ -186,21 +187,16 @@ class ParameterClient:
         service = f"{self.owner}/get_parameters"
         if service in types_by_name(self._node.transport.endpoints(), "service", hidden=True):
             return True
-        client = self._node.service_client(GetParameters, service)
-        try:
+        async with aclosing(self._node.service_client(GetParameters, service)) as client:
             return await client.wait_for_service(ON_DEMAND)
-        finally:
-            await client.aclose()
 
     async def _ask(self, service_type: ServiceType[Req, Res], request: Req) -> Res:
         """Call one of the parameter services. The name of the service follows from its type."""
         words = service_type.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
-        client = self._node.service_client(service_type, f"{self.owner}/{words}_parameters")
-        try:
+        service = f"{self.owner}/{words}_parameters"
+        async with aclosing(self._node.service_client(service_type, service)) as client:
             await client.wait_for_service(PATIENCE)
             return await client.call(request, PATIENCE)
-        finally:
-            await client.aclose()
 
     async def _refuse_unknown(self, names: Sequence[str]) -> None:
         known = await self.names()

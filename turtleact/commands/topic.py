@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import aclosing
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from turtleact.commands import completion
@@ -446,11 +447,8 @@ async def _beside_notes(node: Node, name: str, reading: Coroutine[object, object
         await note_pause(node)
         await _note_absence(node, name)
 
-    notes = Background(tell(), "watching publishers")
-    try:
+    async with aclosing(Background(tell(), "watching publishers")):
         return await reading
-    finally:
-        await notes.aclose()
 
 
 async def _note_absence(node: Node, name: str) -> None:
@@ -616,8 +614,5 @@ async def _measure(
         async for message in node.subscription(message_type, name, QoS(depth=METER_DEPTH)):
             add(node.clock.now(), message)
 
-    printing = Background(print_lines(), "printing measurements")
-    try:
+    async with aclosing(Background(print_lines(), "printing measurements")):
         await _beside_notes(node, name, read())
-    finally:
-        await printing.aclose()
