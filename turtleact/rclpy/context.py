@@ -234,8 +234,7 @@ def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None 
             default context only.
     """
     (get_default_context(shutting_down=True) if context is None else context).shutdown()
-    if context is None if uninstall_handlers is None else uninstall_handlers:
-        uninstall_signal_handlers()
+    _uninstall(context, uninstall_handlers)
 
 
 def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
@@ -244,7 +243,11 @@ def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | N
     if context is None and given.handle is not None:  # it may also have been shut down by a signal
         get_default_context(shutting_down=True)
     given.try_shutdown()
-    if context is None if uninstall_handlers is None else uninstall_handlers:
+    _uninstall(context, uninstall_handlers)
+
+
+def _uninstall(context: Context | None, wanted: bool | None) -> None:
+    if wanted or (wanted is None and context is None):
         uninstall_signal_handlers()
 
 

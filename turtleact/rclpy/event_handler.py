@@ -122,7 +122,7 @@ class EventHandler(Waitable):
     Args:
         callback_group: Decides when the callback may run.
         callback: Called with the info object of each event.
-        connection: Tells the handler when the graph has changed.
+        node: The node of the endpoint.
         own: The endpoint that has the events.
         name: The kind of event.
     """
@@ -131,16 +131,17 @@ class EventHandler(Waitable):
         self,
         callback_group: CallbackGroup,
         callback: Anything,
-        connection: Connection,
+        node: Anything,
         own: Endpoint,
         name: str,
     ) -> None:
         self.callback = callback
-        self._connection = connection
+        self._connection: Connection = node.connection
         self._own = own
         self._name = name
         self._info: object | None = None
-        super().__init__(callback_group, close=connection.watch(self.wake))
+        close = self._connection.watch(node.wake_executor)
+        super().__init__(callback_group, close=close, wake=node.wake_executor)
 
     def _poll(self) -> object | None:
         """If an event has happened since the last call, return its info object; otherwise None."""
@@ -274,18 +275,18 @@ class EventCallbacks:
             setattr(self, name, callbacks.get(name))
 
     def create_event_handlers(
-        self, callback_group: CallbackGroup, connection: Connection, own: Endpoint
+        self, callback_group: CallbackGroup, node: Anything, own: Endpoint
     ) -> list[EventHandler]:
         """Make an `EventHandler` for each callback.
 
         Args:
             callback_group: Decides when the callbacks may run.
-            connection: The connection to the graph.
+            node: The node of the endpoint.
             own: The endpoint that has the events.
         """
         given = ((name, getattr(self, name)) for name in self.NAMES)
         return [
-            _kind(name, own)(callback_group, callback, connection, own, name)
+            _kind(name, own)(callback_group, callback, node, own, name)
             for name, callback in given
             if callback is not None
         ]

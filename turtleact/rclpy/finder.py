@@ -196,9 +196,6 @@ class _Alias(Loader):
 class _Package(Loader):
     """Makes the package that contains the modules ``msg``, ``srv`` and ``action``."""
 
-    def create_module(self, spec: ModuleSpec) -> None:
-        """Return None, so that Python makes an ordinary module."""
-
     def exec_module(self, module: ModuleType) -> None:
         """Do nothing, because the package itself defines no names."""
 
@@ -231,9 +228,6 @@ class _Interfaces(Loader):
 
     def __init__(self, package: str, kind: str) -> None:
         self._prefix = f"{package}/{kind}/"
-
-    def create_module(self, spec: ModuleSpec) -> None:
-        """Return None, so that Python makes an ordinary module."""
 
     def exec_module(self, module: ModuleType) -> None:
         """Define the module's ``__all__``, ``__dir__`` and ``__getattr__``.

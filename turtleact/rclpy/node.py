@@ -567,7 +567,6 @@ class Node(NodeParameters, NodeGraph, Block):
 
     def add_waitable(self, waitable: Waitable) -> None:
         """Add a waitable to the node, so that the node's executor runs it."""
-        waitable.call_on_wake(self.wake_executor)
         self._add(waitable)
 
     def remove_waitable(self, waitable: Waitable) -> None:

@@ -143,12 +143,9 @@ class Client(_ServiceEnd):
             TimeoutError: if there is no response in time.
             ROSInterruptException: if the context is shut down before the response comes.
         """
-        answered = threading.Event()
         future = self.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        # The callback would otherwise be another task of the executor that this call may block.
         what = f"call() of {self._full_name}"
-        if not wait_for_answer(self, what, answered, self.context.ok, timeout_sec):
+        if not wait_for_answer(self, what, future, self.context.ok, timeout_sec):
             self.remove_pending_request(future)
             raise TimeoutError if self.context.ok() else ROSInterruptException
         return future.result()

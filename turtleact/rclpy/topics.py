@@ -56,7 +56,7 @@ class _TopicEnd(Subscriptable, Destroyable):
         self.qos_profile = spec.qos
         self.callback_group = spec.callback_group
         self.event_handlers = spec.events.create_event_handlers(
-            spec.callback_group, self._connection, spec.endpoint
+            spec.callback_group, spec.node, spec.endpoint
         )
 
     @property

@@ -151,7 +151,8 @@ class ActionClient(Introspected, Waitable, QueueEntity):
         feedback_sub_qos_profile: QoSProfile = FEEDBACK_QOS,
         status_sub_qos_profile: QoSProfile = qos_profile_action_status_default,
     ) -> None:
-        super().__init__(callback_group or node.default_callback_group)
+        group = callback_group or node.default_callback_group
+        super().__init__(group, wake=node.wake_executor)
         self._node = node
         self._action_type = action_type
         self._action_name = action_name
@@ -241,10 +242,8 @@ class ActionClient(Introspected, Waitable, QueueEntity):
 
     def wait_for_future(self, future: Future, what: str) -> Anything:
         """Block until a future is done, and return its result."""
-        done = threading.Event()
-        future.add_done_callback(lambda _: done.set())
         where = f"{what} of {self._kind.names.name}"
-        wait_for_answer(self, where, done, self._node.context.ok)
+        wait_for_answer(self, where, future, self._node.context.ok)
         return future.result()
 
     def server_is_ready(self) -> bool:

@@ -261,7 +261,8 @@ class ActionServer(Introspected, Waitable, QueueEntity):
         status_pub_qos_profile: QoSProfile = qos_profile_action_status_default,
         result_timeout: float = 10,
     ) -> None:
-        super().__init__(callback_group or node.default_callback_group)
+        group = callback_group or node.default_callback_group
+        super().__init__(group, wake=node.wake_executor)
         self._node = node
         self._action_type = action_type
         self._name = action_name

@@ -23,6 +23,7 @@ from turtleact.rclpy.exceptions import InvalidHandle
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.logging import RcutilsLogger
 from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.task import Future
 from turtleact.transports.base import Endpoint
 
 __all__ = [
@@ -363,10 +364,6 @@ class Waitable(Subscriptable, Entity):
     turtleact has no wait sets, so programs cannot define waitables of their own.
     """
 
-    def call_on_wake(self, wake: Callable[[], object]) -> None:
-        """Set the function to call when the waitable may have become ready."""
-        self._wake = wake
-
 
 class GuardCondition(Entity):
     """Makes an executor call a function once after a call of `trigger`.
@@ -460,7 +457,7 @@ def wait_until(
 def wait_for_answer(
     entity: Entity,
     what: str,
-    answered: threading.Event,
+    future: Future,
     is_ok: Callable[[], bool],
     timeout: float | None = None,
 ) -> bool:
@@ -471,10 +468,12 @@ def wait_for_answer(
     Args:
         entity: The entity that handles the answer.
         what: The name of the waiting function, for the warning.
-        answered: An event that is set when the answer has been handled.
+        future: The future of the answer, which is done when the answer has been handled.
         is_ok: Returns whether to continue the wait.
         timeout: How long to wait (s). None or a negative number means for ever.
     """
+    answered = threading.Event()
+    future.add_done_callback(lambda _: answered.set())
     now = time.monotonic()
     end = math.inf if timeout is None or timeout < 0 else now + timeout
     warn_at = now + BLOCKED_AFTER
