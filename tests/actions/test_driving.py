@@ -8,7 +8,7 @@ import pytest
 
 from turtleact.actions.steering import Limits
 from turtleact.errors import Abort
-from turtleact.interfaces.standard import Point, Twist
+from turtleact.interfaces.standard import Twist
 from turtleact.tasks import Background
 
 from .yard import FAR, obeying, telling, yard
@@ -34,21 +34,6 @@ async def test_a_command_is_held_for_eight_poses():
         assert drive.travelled == pytest.approx(40 * 0.032, abs=1e-5)
         assert drive.pose.x == pytest.approx(drive.travelled)
         assert len(place.twists.drain()) == 5
-
-
-async def test_a_held_command_ends_with_the_first_pose_after_a_deadline():
-    async with yard() as place, obeying(place), place.drive() as drive:
-        begun = place.clock.time()
-        await drive.towards(FAR, until=begun + 0.02)
-        assert place.clock.time() - begun == pytest.approx(2 * 0.016)
-
-
-async def test_a_held_command_ends_at_the_target():
-    async with yard() as place, obeying(place), place.drive() as drive:
-        begun = place.clock.time()
-        await drive.towards(Point(x=0.15))
-        assert place.clock.time() - begun == pytest.approx(3 * 0.016)
-        assert drive.has_reached(Point(x=0.15))
 
 
 @pytest.mark.parametrize(

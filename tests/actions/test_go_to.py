@@ -115,15 +115,6 @@ async def test_what_cannot_be_done_is_rejected_by_name(options, reason):
     assert caught.value.reason == reason
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
-async def test_a_canceled_goal_stops_the_turtle(seconds):
-    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
-        await stage.node.clock.sleep(seconds)
-        await goal.cancel()
-        assert (await goal.outcome()).status is GoalStatus.CANCELED
-        assert await stage.stands_still()
-
-
 async def test_a_canceled_goal_tells_how_far_the_turtle_got():
     async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
         await stage.node.clock.sleep(2.0)
@@ -152,16 +143,6 @@ async def test_a_heading_that_cannot_be_met_is_named_in_the_reason():
         assert away(stage, 7.0, MIDDLE) <= 0.1
     late = "was not reached in time"
     assert caught.value.reason == f"theta: 3.2, heading_tolerance: 1e-12 {late}"
-
-
-async def test_closing_the_server_stops_the_turtle():
-    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
-        await stage.node.clock.sleep(1.0)
-        await stage.actions.aclose()
-        outcome = await goal.outcome()
-        assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
-        assert outcome.result.distance == pytest.approx(1.0, abs=0.04)
-        assert await stage.stands_still()
 
 
 async def test_a_goal_whose_turtle_is_killed_ends_with_a_reason_within_a_second():

@@ -23,7 +23,7 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.tasks import Background
 
-from .arena import MARK, STYLES, arena
+from .arena import MARK, arena
 
 TARGETS = [(9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0)]
 MIDDLE = 11.088889122009277 / 2
@@ -236,20 +236,6 @@ ROUNDS_IN_PLACE = {
     "elsewhere": [(7.0, MIDDLE)],
     "of targets near each other": NEAR,
 }
-
-
-@pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("targets", ROUNDS_IN_PLACE.values(), ids=ROUNDS_IN_PLACE)
-async def test_a_target_where_the_turtle_stands_takes_one_tick(targets, style):
-    times = []
-    for loops in (0, 10):
-        async with arena() as stage:
-            goal = patrol(*targets, loops=loops, style=style)
-            result = await client_of(stage).send_goal(goal)
-            assert (result.reached, result.missed) == ((1 + loops) * len(targets), [])
-            assert math.dist(stage.place[:2], targets[0]) <= 0.1
-            times.append(result.duration)
-    assert times[1] - times[0] == pytest.approx(10 * len(targets) * 0.016, abs=0.04)
 
 
 # What others do to the turtle

@@ -83,16 +83,6 @@ def test_a_write_that_fails_writes_nothing(path):
     assert list(read_goals(path)) == []
 
 
-def test_a_known_id_gives_the_known_goal(path):
-    database = Database(path)
-    database.write([Accept(record(1))], is_durable=True)
-    again = Accept(record(1, accepted=NOW + 5))
-    database.write([again], is_durable=True)
-    database.close()
-    assert again.known is not None
-    assert again.known.accepted == NOW
-
-
 def test_only_what_matters_is_loaded(path):
     database = Database(path)
     goals = [record(number) for number in range(4)]

@@ -6,7 +6,7 @@ import pytest
 import turtleact
 from turtleact import TurtleactError, open_node, open_world, recording
 from turtleact.errors import UsageError
-from turtleact.interfaces import WireFormat, encode
+from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose
 from turtleact.interfaces.standard.std_msgs.msg import Int32, String
@@ -16,7 +16,7 @@ from turtleact.recording.metadata import read_qos_overrides
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, QoS
-from turtleact.transports.base import STATUS_QOS, Endpoint, RawFormat
+from turtleact.transports.base import STATUS_QOS, Endpoint
 
 from .bags import by_rosbags
 
@@ -315,12 +315,6 @@ def test_a_file_with_other_overrides_is_refused(tmp_path, text, problem):
     path.write_text(text)
     with pytest.raises(UsageError, match=problem):
         read_qos_overrides(path)
-
-
-def test_a_raw_format_leaves_bytes_alone():
-    format = RawFormat("RIHS01_1", WireFormat(String).encode)
-    assert format.decode(b"abc") == format.encode(b"abc") == b"abc"
-    assert format.encode(String(data="x")) == encode(String(data="x"))
 
 
 ACTION = ("/patrol/_action/feedback", "lab_msgs/action/Patrol_FeedbackMessage")
