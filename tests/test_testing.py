@@ -26,7 +26,7 @@ from turtleact import open_world, testing
 from turtleact.actions.patrol import Patrol
 from turtleact.errors import SimError
 from turtleact.interfaces.standard import Fibonacci, Point, Twist, Vector3
-from turtleact.tasks.clock import EPOCH, WallClock
+from turtleact.tasks.clock import EPOCH
 from turtleact.testing import FaultyTransport, run_goal, virtual_backend, wait_until_idle
 from turtleact.testing.plugin import anyio_backend  # noqa: F401  # all of this module is virtual
 from turtleact.transports import MemoryTransport, QoS
@@ -111,14 +111,6 @@ async def test_the_clock_of_a_node_has_the_time_of_the_loop():
         assert (node.clock.time(), anyio.current_time()) == (15, 15)
         await node.clock.sleep_until(20)
         assert (node.clock.now(), anyio.current_time()) == (EPOCH + 20 * SECOND, 20)
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_a_clock_on_a_real_loop_is_real(backend):
-    async def now() -> int:
-        return WallClock().now()
-
-    assert abs(anyio.run(now, backend=backend) - time.time_ns()) < 60 * SECOND
 
 
 async def patrol() -> tuple[list[int], Patrol.Result]:

@@ -6,7 +6,6 @@ import io
 import os
 import shutil
 import sqlite3
-import struct
 import subprocess
 import sys
 import tempfile
@@ -192,14 +191,6 @@ async def test_bags_of_rosbags_are_read(tmp_path, plugin, version):
     assert info_of(path).storage == plugin.name.lower()
 
 
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_range_may_reach_beyond_all_stamps(tmp_path, plugin):
-    path = tmp_path / "theirs"
-    write_by_rosbags(path, plugin, 9)
-    assert len(stamps(path, Range(-(10**30), 10**30))) == 5
-    assert stamps(path, Range(10**30)) == []
-
-
 def test_an_old_sqlite_file_has_no_definitions(tmp_path):
     path = tmp_path / "old.db3"
     database = sqlite3.connect(path)
@@ -312,21 +303,6 @@ def test_a_damaged_chunk_is_named(tmp_path):
     )
 
 
-def test_a_chunk_with_an_unknown_channel_is_described(tmp_path):
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as stream:
-        theirs = WriterOfMcap(stream, compression=CompressionType.NONE, enable_crcs=False)
-        theirs.start("ros2")
-        schema = theirs.register_schema(POSE.type_name, "ros2msg", b"float32 x")
-        theirs.add_message(theirs.register_channel("/pose", "cdr", schema), 1, b"data", 1)
-        theirs.finish()
-    record = struct.pack("<BQH", 5, 26, 1)  # the message, of channel 1
-    assert record in path.read_bytes()
-    path.write_bytes(path.read_bytes().replace(record, struct.pack("<BQH", 5, 26, 10)))
-    with pytest.raises(BagError, match=r"damaged \(the file does not declare channel 10\)"):
-        stamps(path)
-
-
 @pytest.mark.parametrize("content", [b"", b"MCAP", b"\x89MCAP0\r\n", os.urandom(4000)])
 def test_what_is_no_mcap_file_is_refused_or_empty(tmp_path, content):
     path = tmp_path / "x.mcap"
@@ -354,8 +330,6 @@ def test_what_is_no_sqlite_file_is_refused(tmp_path, content):
         ("rosbag2_bagfile_information: 3", "it has no 'rosbag2_bagfile_information'"),
         ("[", r"it is not YAML: line \d, column \d: "),
         ("a: \0", "it is not YAML: "),
-        ("a: !!bool foo", "it is not YAML: a value does not fit its tag: 'foo'"),
-        ("a: !!timestamp foo", "it is not YAML: a value does not fit its tag: "),
         (
             "rosbag2_bagfile_information: {}",
             "it does not describe a bag: 'relative_file_paths' is missing",
@@ -368,13 +342,6 @@ def test_a_description_that_cannot_be_read_is_named(tmp_path, text, problem):
     hint = "delete or rename this file to read the bag without it$"
     with pytest.raises(BagError, match=f"metadata.yaml': {problem}.*; {hint}"):
         Bag(path)
-
-
-@pytest.mark.parametrize("name", ["pipe", "metadata.yaml", "run_0.mcap"])
-def test_a_pipe_in_place_of_a_file_is_refused(tmp_path, name):
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(BagError, match=f"{name}': it is not a regular file"):
-        Bag(tmp_path / name if name == "pipe" else tmp_path)
 
 
 def test_what_is_not_there_is_named(tmp_path):
@@ -465,18 +432,6 @@ def test_a_full_disk_leaves_a_folder_that_can_be_read(tmp_path, disk):
     assert [each.name for each in path.iterdir()] == ["run_0.mcap"]
     assert len(stamps(path)) == info_of(path).count == given - 10
     assert not info_of(path).is_closed
-
-
-def test_an_index_without_room_leaves_all_messages(tmp_path, disk, monkeypatch):
-    disk(1_000_000)
-    path = tmp_path / "run.mcap"
-    writer = opened(path)
-    fill(writer, 30)
-    writer.flush()
-    monkeypatch.setattr(Disk, "write", lambda *_: os.write(-1, b""))
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        writer.close({})
-    assert (len(stamps(path)), info_of(path).is_closed) == (30, False)
 
 
 def test_a_disk_that_is_full_when_a_file_ends_loses_no_other_message(tmp_path, monkeypatch):
@@ -576,15 +531,14 @@ def test_a_file_with_a_damaged_index_is_looked_through(tmp_path, place):
     assert len(stamps(path)) == info_of(path).count == 20
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES])
-def test_a_description_that_cannot_be_written_leaves_the_files(tmp_path, monkeypatch, number):
+def test_a_description_that_cannot_be_written_leaves_the_files(tmp_path, monkeypatch):
     def replace(*_):
-        raise OSError(number, os.strerror(number))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     writer = opened(tmp_path / "run")
     fill(writer, 10)
     monkeypatch.setattr(Path, "replace", replace)
-    with pytest.raises(OSError, match=os.strerror(number)):
+    with pytest.raises(OSError, match="No space left"):
         writer.close({})
     assert [each.name for each in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
     assert len(stamps(tmp_path / "run")) == 10

@@ -132,8 +132,6 @@ class Bag:
         Raises:
             BagError: if a file is missing, or if rosbag2 has compressed whole files or messages.
         """
-        if not path.is_file():
-            raise BagError(path, "it is not a regular file")
         try:
             said = read_description(path.read_text(encoding="utf-8"), path)
         except (OSError, UnicodeDecodeError) as error:
@@ -249,11 +247,7 @@ async def read(
 
 
 def _open(path: Path) -> BagStorage:
-    if path.exists() and not path.is_file():  # reading from a pipe could wait for ever
-        raise BagError(path, "it is not a regular file")
-    if path.suffix == ".db3":
-        return SqliteFile(path)
-    return McapFile(path)
+    return SqliteFile(path) if path.suffix == ".db3" else McapFile(path)
 
 
 def _by_number(path: Path) -> tuple[int, str]:

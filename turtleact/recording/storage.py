@@ -297,8 +297,6 @@ def _is_complete(summary: Summary, statistics: Statistics) -> bool:
 
 def _reason(error: BaseException) -> str:
     """Describe what is wrong with a damaged record."""
-    if isinstance(error, KeyError):
-        return f"the file does not declare channel {error}"
     if isinstance(error, struct.error | EndOfFile):
         return "a record in it is cut off"
     return str(error) or type(error).__name__
@@ -332,18 +330,14 @@ class SqliteFile(BagStorage):
         """
         chosen = [number for number, each in self.channels.items() if wanted.has(each.topic)]
         marks = ", ".join("?" * len(chosen))
-        # SQLite's numbers have 64 bits.
-        start, end = (
-            max(-(2**63), min(each, 2**63 - 1))
-            for each in (wanted.start, 2**63 - 1 if wanted.end is None else wanted.end)
-        )
+        end = 2**63 - 1 if wanted.end is None else wanted.end
         query = (
             f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "  # noqa: S608  # marks only
             "AND timestamp BETWEEN ? AND ? ORDER BY timestamp, id"
         )
         try:
             with closing(self._opened()) as database:
-                for number, stamp, data in database.execute(query, (*chosen, start, end)):
+                for number, stamp, data in database.execute(query, (*chosen, wanted.start, end)):
                     yield Raw(stamp, stamp, self.channels[number], data)
         except sqlite3.Error as error:
             raise BagError(self.path, f"it is damaged: {error}") from error
