@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar, cast
@@ -277,6 +278,13 @@ def once_canceled(end: object) -> Callable[..., Any]:
         return end
 
     return wait
+
+
+def free_endpoint() -> str:
+    """A place to listen at."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
 class HandClock(VirtualClock):

@@ -179,17 +179,6 @@ def test_plain(): ...
 """
 
 
-def collected(folder: Path) -> list[str]:
-    """The names of the tests below a folder that has our conftest.py."""
-    shutil.copy(ROOT / "tests" / "conftest.py", folder)
-    said = subprocess.check_output(
-        [sys.executable, "-m", "pytest", "-qo", "anyio_mode=auto", "--collect-only", folder],
-        cwd=folder,
-        text=True,
-    )
-    return re.findall(r"(?<=::)\S+", said)
-
-
 CASES = """
 import pytest
 NUMBERS = pytest.mark.parametrize("number", range(4))

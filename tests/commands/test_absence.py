@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import signal
-import socket
 import threading
 
 import pytest
@@ -15,14 +14,14 @@ from turtleact.commands.graph import none_in_domain
 from turtleact.commands.settings import ConnectOptions
 from turtleact.errors import TurtleactError
 
+from ..lab import free_endpoint
+
 HERE = ConnectOptions((), 0)
 
 
 @pytest.fixture
 def at():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 
 import pytest
@@ -19,15 +18,12 @@ from turtleact.commands.access_config import (
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.transports import open_zenoh
 
-from ..lab import Count, count, goal, result
+from ..lab import Count, count, free_endpoint, goal, result
 
 
 @pytest.fixture
 def address() -> str:
-    """An endpoint at which nobody listens."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return free_endpoint()
 
 
 # --- the file -----------------------------------------------------------------------------------

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
-import socket
 import sqlite3
 import subprocess
-import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +19,8 @@ from turtleact.interfaces import WireFormat, type_hash
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.journal.database import Accept, Change, Database
 
-from .. import warm
+from ..lab import free_endpoint
+from .test_serve import start_python
 
 HOUR = 3600 * 10**9
 DAY = 24 * HOUR
@@ -291,17 +289,7 @@ async def steps(goal, handle):
 
 
 def start(folder, *arguments):
-    # A reload runs the command line of the process again, which must be a Python of its own.
-    begin = subprocess.Popen if "--reload" in arguments else warm.start
-    return begin(
-        [sys.executable, "-m", "turtleact", *arguments],
-        cwd=folder,
-        env={**os.environ, "ROS_DOMAIN_ID": "0"},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    return start_python(folder, "-m", "turtleact", *arguments, stderr=subprocess.STDOUT)
 
 
 @contextmanager
@@ -332,9 +320,7 @@ def lines_until(process, text):
 def at(tmp_path):
     """Where the server of ``lab.py`` listens."""
     Path(tmp_path, "lab.py").write_text(LAB)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return free_endpoint()
 
 
 def test_a_goal_goes_on_after_a_kill_and_a_reload_and_its_sender_sees_one_run(

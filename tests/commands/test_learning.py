@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import signal
-import socket
 
 import pytest
 
 from turtleact.commands import send_goal
 from turtleact.interfaces.types import REGISTRY
 
+from ..lab import free_endpoint
 from ..robots import FILES, write_package
 
 ROBOT = """
@@ -48,9 +48,7 @@ def robot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
     script = folder / "robot.py"
     script.write_text(ROBOT.format(package=write_package(folder)))
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{found.getsockname()[1]}"
+    address = free_endpoint()
     serve = ("serve", str(script), "--no-sim", "--listen", address, "--node-name", "digger")
     program = Program(*serve, module=True)
     program.wait_for("/dig")

@@ -12,7 +12,7 @@ import pytest
 from turtleact.interfaces.types import REGISTRY
 
 from .. import warm
-from .test_serve import free_endpoint
+from ..lab import free_endpoint
 
 
 @pytest.fixture(autouse=True)

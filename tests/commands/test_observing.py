@@ -18,8 +18,8 @@ import turtleact
 from turtleact.interfaces.standard import Fibonacci
 
 from .. import warm
+from ..lab import free_endpoint
 from ..telemetry.collector import collecting, values
-from .test_serve import free_endpoint
 
 LAB = """
 import logging

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import select
 import shlex
 import signal
-import subprocess
-import sys
-import time
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -27,8 +22,6 @@ from turtleact.interfaces.standard.simulation_interfaces.srv import (
 )
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint
-
-from .. import warm
 
 STAGE = Path(__file__).with_name("stage.py")
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("send_goal.json").read_text())
@@ -418,31 +411,6 @@ def test_a_signal_before_the_world_is_there_ends_the_program(start):
     ran = program.end()
     assert ran.status == 130
     assert "Traceback" not in ran.err
-
-
-# --- a reader that does not read ------------------------------------------------------------
-
-
-@pytest.fixture
-def stuck():
-    """Starts a goal whose output nobody reads, and waits until it is full."""
-    reading, writing = os.pipe()
-    programs = []
-
-    def begin(*arguments):
-        program = [sys.executable, STAGE, "send-goal", "flood", "--feedback", *arguments]
-        programs.append(warm.start(program, stdout=writing, stderr=subprocess.DEVNULL))
-        while select.select([], [writing], [], 0)[1]:
-            assert programs[-1].poll() is None
-            time.sleep(0.01)
-        return programs[-1]
-
-    yield begin
-    for program in programs:
-        program.kill()
-        program.wait()
-    os.close(reading)
-    os.close(writing)
 
 
 # --- pipes ----------------------------------------------------------------------------------

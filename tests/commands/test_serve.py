@@ -27,6 +27,7 @@ from turtleact.errors import TurtleactError
 from turtleact.interfaces.standard import Fibonacci
 
 from .. import warm
+from ..lab import free_endpoint
 
 LAB = """
 import anyio
@@ -146,7 +147,9 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     return start_python(folder, "-m", "turtleact", *arguments)
 
 
-def start_python(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+def start_python(
+    folder: Path, *arguments: str, stderr: int = subprocess.PIPE
+) -> subprocess.Popen[str]:
     # A reload runs the command line of the process again, which must be a Python of its own.
     begin = subprocess.Popen if "--reload" in arguments else warm.start
     return begin(
@@ -155,15 +158,9 @@ def start_python(folder: Path, *arguments: str) -> subprocess.Popen[str]:
         env=HERE,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=stderr,
         text=True,
     )
-
-
-def free_endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
 
 
 @contextmanager

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import sys
 from contextlib import suppress
 
 import pytest
 
 from .. import warm
+from ..lab import free_endpoint
 from .ttys import Terminal
 
 PATIENCE = 30.0
@@ -21,9 +21,7 @@ class Served(Terminal):
     """A server on a terminal."""
 
     def __init__(self, *arguments, columns=100, rows=40, **environment):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.at = free_endpoint()
         line = "serve", "--listen", self.at, *arguments
         super().__init__(*line, columns=columns, rows=rows, ROS_DOMAIN_ID="0", **environment)
 

@@ -19,7 +19,6 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import sysconfig
@@ -32,6 +31,7 @@ import turtleact
 from turtleact.interfaces.types import REGISTRY
 
 from .. import warm
+from ..lab import free_endpoint
 
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -102,9 +102,7 @@ class Terminals:
 
     def __init__(self, folder, turtleact):
         self.folder = folder
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        self.address = free_endpoint()
         self.turtleact = turtleact
         self.running = []
         self.serving = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -27,6 +26,7 @@ from turtleact.interfaces.type_hash import structure_hash
 from turtleact.interfaces.types import REGISTRY
 from turtleact.transports import MemoryTransport
 
+from ..lab import free_endpoint
 from ..robots import FILES, Robot, write_package
 
 DIG = "robot_msgs/action/Dig"
@@ -272,9 +272,7 @@ async def test_a_text_that_is_too_long_or_does_not_fit_is_not_used(package):
 @pytest.mark.loops("asyncio")
 async def test_an_answer_that_is_too_large_is_refused(package, monkeypatch):
     monkeypatch.setattr("turtleact.node.learning.LARGEST", 4_000)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    at = free_endpoint()
     async with (
         open_zenoh([], listen=[at], mode="router", config={}) as there,
         open_zenoh([at], mode="client", config={}) as here,

@@ -44,10 +44,6 @@ class Add(Service, type_name="lab_interfaces/srv/Add"):
         total: int32 = 0
 
 
-class Subtract(Service, type_name="lab_interfaces/srv/Subtract"):
-    """Has another type, and may have the same name."""
-
-
 def numbers(*given: Any) -> Add.Request:
     return Add.Request(numbers=list(given))
 

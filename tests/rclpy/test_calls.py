@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from contextlib import asynccontextmanager
 from typing import Any
@@ -21,6 +20,8 @@ from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.process import PROCESS
 from turtleact.rclpy.messages import hash_of, interface_class
+
+from ..lab import free_endpoint
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
@@ -48,9 +49,7 @@ async def fibonacci(goal):
 def others(monkeypatch):
     """A node of turtleact on the graph of every context; call what it returns in its loop."""
     there: list[turtleact.Node] = []
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    address = free_endpoint()
 
     @asynccontextmanager
     async def open_it(domain):

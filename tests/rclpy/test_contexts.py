@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 from contextlib import suppress
 
@@ -108,17 +107,6 @@ def test_the_functions_of_rclpy_spin_in_one_global_executor(default):
     guard.trigger()
     rclpy.spin(node)
     assert not rclpy.ok()
-
-
-@pytest.fixture
-def imports(monkeypatch):
-    """What the test makes importable, it makes so for itself alone."""
-    monkeypatch.setattr("sys.meta_path", list(sys.meta_path))
-    before = set(sys.modules)
-    yield
-    for name in set(sys.modules) - before:
-        if name.partition(".")[0] == "rclpy":
-            del sys.modules[name]
 
 
 def test_arguments_for_ros_can_be_removed(monkeypatch):
