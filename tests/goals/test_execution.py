@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
 import logging
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -37,12 +36,6 @@ from ..lab import (
     running,
     settle,
 )
-
-
-def ended_without_result(body) -> Outcome[Any]:
-    yields = inspect.isasyncgenfunction(body)
-    ending = "the last value yielded must be" if yields else "the body must return"
-    return Outcome(GoalStatus.ABORTED, result(), f"no result: {ending} a Result")
 
 
 async def end_of(body, send, **options):
@@ -84,42 +77,89 @@ def both_styles(act: Callable[[], Awaitable[object]]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("body", in_both_styles(act))
 
 
-# --- a result -------------------------------------------------------------------------------
+def ending(end: object, *, waits: bool) -> list[Any]:
+    """Bodies of both styles that return or raise something, at once or after a wait."""
+
+    async def act() -> object:
+        if waits:
+            await anyio.lowlevel.checkpoint()
+        if isinstance(end, BaseException):
+            raise end
+        return end
+
+    return in_both_styles(act)
 
 
-async def succeed():
-    await anyio.lowlevel.checkpoint()
-    return result(1, 2)
+def matches(outcome: Outcome[Any], status: GoalStatus, reached: Any, reason: str) -> bool:
+    """Whether a goal has ended so; the reason is a pattern for its whole text."""
+    is_so = (outcome.status, outcome.result) == (status, reached)
+    return is_so and re.fullmatch(reason, outcome.reason) is not None
 
 
-async def succeed_at_once():
-    return result(1, 2)
+# --- how a body ends ------------------------------------------------------------------------
+
+SUCCEEDED, ABORTED, CANCELED = GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.CANCELED
+ABORT = Abort("the pen is empty", result(7))
+NO_RESULT = "no result: (the last value yielded must be|the body must return) a Result"
+NO_FIT = r"(the pen is empty)? \(its result does not fit: .*"
+
+ENDS = [
+    (result(1, 2), SUCCEEDED, result(1, 2), ""),
+    (None, ABORTED, result(), NO_RESULT),
+    (ABORT, ABORTED, result(7), "the pen is empty"),
+    (Abort("the pen is empty"), ABORTED, result(), "the pen is empty"),
+    (Abort("the pen is empty", feedback(7)), ABORTED, result(), NO_FIT),
+    (ValueError("no pen"), ABORTED, result(), "ValueError: no pen"),
+    (Cancel(result(5)), ABORTED, result(), "Cancel.*"),  # nobody has asked for it
+]
+ENDS_ONCE_CANCELED = [
+    (result(1, 2), SUCCEEDED, result(1, 2), ""),
+    (None, ABORTED, result(), NO_RESULT),
+    (ABORT, ABORTED, result(7), "the pen is empty"),
+    (Cancel(), CANCELED, result(), ""),
+    (Cancel(result(5)), CANCELED, result(5), ""),
+    (Cancel(feedback(5)), CANCELED, result(), NO_FIT),
+]
 
 
-@pytest.mark.parametrize("body", in_both_styles(succeed) + in_both_styles(succeed_at_once))
-async def test_a_body_that_gives_its_result_succeeds(body, send):
-    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1, 2))
+@pytest.mark.parametrize(
+    ("body", "end"),
+    [
+        (each.values[0], end)
+        for end in ENDS
+        for waits in (False, True)
+        for each in ending(end[0], waits=waits)
+    ],
+)
+async def test_a_goal_ends_as_its_body_does(body, end, send):
+    _, *expected = end
+    assert matches(await end_of(body, send), *expected)
 
 
-@pytest.mark.parametrize("body", in_both_styles(once_canceled(result(1, 2))))
-async def test_a_body_that_gives_its_result_although_it_was_canceled_succeeds(body, send):
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1, 2))
+@pytest.mark.parametrize(
+    ("body", "end"),
+    [
+        (each.values[0], end)
+        for end in ENDS_ONCE_CANCELED
+        for each in in_both_styles(once_canceled(end[0]))
+    ],
+)
+async def test_a_goal_that_is_canceled_ends_as_its_body_does(body, end, send):
+    _, *expected = end
+    assert matches(await canceled_end_of(body, send), *expected)
 
 
-async def give_nothing():
-    await anyio.lowlevel.checkpoint()
-
-
-async def give_nothing_at_once():
-    pass
-
-
-WITHOUT_RESULT = in_both_styles(give_nothing) + in_both_styles(give_nothing_at_once)
-
-
-@pytest.mark.parametrize("body", [*WITHOUT_RESULT, *in_both_styles(once_canceled(None))])
-async def test_a_body_that_ends_without_a_result_is_aborted(body, send):
-    assert await canceled_end_of(body, send) == ended_without_result(body)
+@pytest.mark.parametrize("is_failure", [False, True])
+async def test_a_failure_of_a_body_is_logged_and_an_abort_is_not(is_failure, caplog):
+    end = ValueError("no pen") if is_failure else ABORT
+    for each in ending(end, waits=False):
+        await end_of(each.values[0], awaited)
+    assert len(caplog.records) == 2 * is_failure
+    for record in caplog.records:
+        assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
+        assert re.fullmatch(r"the body of /count failed \(goal [0-9a-f]{32}\)", record.getMessage())
+        assert record.exc_info is not None
+        assert str(record.exc_info[1]) == "no pen"
 
 
 async def return_feedback(goal):
@@ -242,64 +282,9 @@ async def test_a_result_stands_whatever_the_body_does_behind_it(body, send, leve
     assert said in last.getMessage()
 
 
-# --- giving up and failing --------------------------------------------------------------------
-
-
-async def abort_with_a_result():
-    await anyio.lowlevel.checkpoint()
-    raise Abort("the pen is empty", result(7))
-
-
-async def abort():
-    raise Abort("the pen is empty")
-
-
-ABORT = Abort("the pen is empty", result(7))
-
-
-@pytest.mark.parametrize(
-    ("body", "partial_result"),
-    [
-        *((each.values[0], result(7)) for each in in_both_styles(abort_with_a_result)),
-        *((each.values[0], result()) for each in in_both_styles(abort)),
-        *((each.values[0], result(7)) for each in in_both_styles(once_canceled(ABORT))),
-    ],
-)
-async def test_a_body_can_abort_with_a_result(body, partial_result, send, caplog):
-    expected = Outcome(GoalStatus.ABORTED, partial_result, "the pen is empty")
-    assert await canceled_end_of(body, send) == expected
-    assert not caplog.records
-
-
-async def abort_with_a_wrong_result():
-    raise Abort("the pen is empty", feedback(7))
-
-
-@both_styles(abort_with_a_wrong_result)
-async def test_an_abort_with_a_wrong_result_says_so(body, send):
-    outcome = await end_of(body, send)
-    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, result())
-    assert outcome.reason.startswith("the pen is empty (its result does not fit: ")
-
-
 async def fail():
     await anyio.lowlevel.checkpoint()
     raise ValueError("no pen")
-
-
-async def fail_at_once():
-    raise ValueError("no pen")
-
-
-@pytest.mark.parametrize("body", in_both_styles(fail) + in_both_styles(fail_at_once))
-async def test_a_body_that_fails_is_aborted_with_a_summary(body, send, caplog):
-    expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
-    assert await end_of(body, send) == expected
-    (record,) = caplog.records
-    assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
-    assert re.fullmatch(r"the body of /count failed \(goal [0-9a-f]{32}\)", record.getMessage())
-    assert record.exc_info is not None
-    assert str(record.exc_info[1]) == "no pen"
 
 
 # --- partial results ------------------------------------------------------------------------
@@ -380,7 +365,6 @@ WAYS_OUT = [
     wait_in_a_group,
     let_a_group_of_cancellations_out,
     wait_after_a_timeout_of_its_own,
-    once_canceled(Cancel()),
 ]
 
 
@@ -388,29 +372,6 @@ WAYS_OUT = [
 async def test_a_body_that_lets_a_requested_cancellation_out_is_canceled(body, send, caplog):
     assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
     assert not caplog.records
-
-
-@both_styles(once_canceled(Cancel(result(5))))
-async def test_a_canceled_body_can_report_a_result_in_its_clean_up(body, send):
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result(5))
-
-
-@both_styles(once_canceled(Cancel(feedback(5))))
-async def test_a_canceled_body_with_a_wrong_result_is_canceled_and_says_so(body, send):
-    outcome = await canceled_end_of(body, send)
-    assert (outcome.status, outcome.result) == (GoalStatus.CANCELED, result())
-    assert "its result does not fit: " in outcome.reason
-
-
-async def canceled_unasked():
-    raise Cancel(result(5))
-
-
-@both_styles(canceled_unasked)
-async def test_a_body_that_was_not_asked_to_cancel_cannot_end_canceled(body, send):
-    outcome = await end_of(body, send)
-    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, result())
-    assert outcome.reason.startswith("Cancel")
 
 
 async def cancel_oneself():

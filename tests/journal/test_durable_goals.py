@@ -88,6 +88,18 @@ async def place(path: Path, **options: Any) -> AsyncIterator[Place]:
         yield Place(path, journal, node, node.action_client(Count, "count"))
 
 
+@asynccontextmanager
+async def crashed(path: Path, execute: Any, upto: int = 3) -> AsyncIterator[Place]:
+    """A place where a server was killed that ran a goal."""
+    async with place(path) as here:
+        here.serve(execute)
+        await here.send(goal(upto))
+        await settle()
+        copy = await here.crash()
+    async with place(copy) as there:
+        yield there
+
+
 @pytest.fixture
 def path(tmp_path) -> Path:
     return Path(tmp_path, "goals.db")
@@ -246,9 +258,9 @@ async def test_a_goal_goes_on_after_a_crash_with_its_id_and_stamp(path, style):
         here.serve(style(body))
         async with here.client.send_goal(goal(5), goal_id=ID) as handle:
             assert [await anext(handle), await anext(handle)] == [feedback(0), feedback(0, 1)]
-            crashed, stamp = await here.crash(), handle.stamp
+            killed, stamp = await here.crash(), handle.stamp
             handle.detach()
-            async with place(crashed) as there:
+            async with place(killed) as there:
                 again = Resuming(free=9)
                 there.serve(style(again))
                 async with there.client.attach(ID) as other:
@@ -265,15 +277,10 @@ async def test_a_partial_result_survives(path):
         await anyio.sleep_forever()
         return result()
 
-    async with place(path) as here:
-        here.serve(act)
-        async with here.client.send_goal(goal(), goal_id=ID) as handle:
-            handle.detach()
-            await settle()
-            async with place(await here.crash()) as there:
-                there.serve(act)
-                async with there.client.attach(ID) as other:
-                    assert await other.result() == result(7)
+    async with crashed(path, act) as there:
+        there.serve(act)
+        async with there.client.attach(ID) as other:
+            assert await other.result() == result(7)
 
 
 async def test_a_clean_stop_keeps_goals_and_tells_their_waiters(path):
@@ -346,15 +353,11 @@ async def test_a_body_that_has_not_begun_when_its_server_stops_never_runs_on(pat
 
 
 async def test_goals_are_aborted_after_a_restart_unless_they_resume(path):
-    async with place(path) as here:
-        here.serve(Gate().wait)
-        async with here.client.send_goal(goal(), goal_id=ID) as handle:
-            handle.detach()
-            async with place(await here.crash()) as there:
-                there.serve(Gate().wait, on_restart="abort")
-                async with there.client.attach(ID) as other:
-                    with pytest.raises(GoalAborted, match="its server was restarted"):
-                        await other.result()
+    async with crashed(path, Gate().wait) as there:
+        there.serve(Gate().wait, on_restart="abort")
+        async with there.client.attach(ID) as other:
+            with pytest.raises(GoalAborted, match="its server was restarted"):
+                await other.result()
 
 
 async def test_a_goal_that_was_being_canceled_ends_canceled(path):
@@ -373,9 +376,9 @@ async def test_a_goal_that_was_being_canceled_ends_canceled(path):
         async with here.client.send_goal(goal(), goal_id=ID) as handle:
             await settle()
             await handle.cancel()
-            crashed = await here.crash()
+            killed = await here.crash()
             released.set()
-        async with place(crashed) as there:
+        async with place(killed) as there:
             there.serve(act)
             async with there.client.attach(ID) as other:
                 with pytest.raises(GoalCanceled) as canceled:
@@ -438,10 +441,10 @@ async def test_waiting_goals_keep_their_order(path, monkeypatch, step):
                 handle = await here.client.send_goal(goal(number), goal_id=goal_id).__aenter__()
                 handle.detach()
                 clock.lag += step
-            crashed = await here.crash()
+            killed = await here.crash()
             senders.cancel_scope.cancel()
         order.clear()
-        async with place(crashed) as there:
+        async with place(killed) as there:
             there.serve(act, policy="queue")
             async with there.client.attach(ids[-1]) as last:
                 await last.result()
@@ -469,9 +472,9 @@ async def test_goals_of_a_shared_slot_run_one_at_a_time_after_a_restart(path):
         here.serve(body("other"), "other", **options)
         second = here.node.action_client(Count, "other")
         (await second.send_goal(goal(), goal_id=OTHER).__aenter__()).detach()
-        crashed = await here.crash_with(goal())
+        killed = await here.crash_with(goal())
         running_now.clear()
-        async with place(crashed) as there:
+        async with place(killed) as there:
             there.serve(body("count"), **options)  # its goal was second
             there.serve(body("other"), "other", **options)
             async with there.client.attach(ID) as last:
@@ -482,15 +485,15 @@ async def test_a_goal_that_kills_its_server_is_given_up(path):
     body = Resuming()
     async with place(path) as here:
         here.serve(body.generator)
-        crashed = await here.crash_with(goal(3))
+        killed = await here.crash_with(goal(3))
     for crashes in (1, 2):
-        async with place(crashed) as there:
+        async with place(killed) as there:
             there.serve(body.generator)
             async with there.client.attach(ID):
                 await there.journal.written()
-                assert records(crashed)[ID].crashes == crashes
-                crashed = await there.crash()
-    async with place(crashed) as there:
+                assert records(killed)[ID].crashes == crashes
+                killed = await there.crash()
+    async with place(killed) as there:
         there.serve(body.generator)
         async with there.client.attach(ID) as other:
             with pytest.raises(GoalAborted, match="has crashed 3 times since its newest feedback"):
@@ -502,20 +505,20 @@ async def test_feedback_and_clean_stops_forgive_crashes(path):
     body = Resuming()
     async with place(path) as here:
         here.serve(body.coroutine)
-        crashed = await here.crash_with(goal(3))
-    async with place(crashed) as there:
+        killed = await here.crash_with(goal(3))
+    async with place(killed) as there:
         there.serve(body.coroutine)
         async with there.client.attach(ID):
             await there.journal.written()
-    assert records(crashed)[ID].crashes == 1
-    async with place(crashed) as there:  # after a clean stop
+    assert records(killed)[ID].crashes == 1
+    async with place(killed) as there:  # after a clean stop
         there.serve(body.coroutine)
         async with there.client.attach(ID) as handle:
             await there.journal.written()
-            assert records(crashed)[ID].crashes == 1
+            assert records(killed)[ID].crashes == 1
             body.step.release()
             await anext(handle)
-            assert records(crashed)[ID].crashes == 0
+            assert records(killed)[ID].crashes == 0
 
 
 async def test_a_goal_of_another_type_is_aborted_and_not_decoded(path):
@@ -530,13 +533,11 @@ async def test_a_goal_of_another_type_is_aborted_and_not_decoded(path):
         class Feedback(Message):
             so_far: list[int32] = []
 
-    async with place(path) as here:
-        here.serve(Gate().wait)
-        crashed = await here.crash_with(goal())
     body: Any = Gate().wait
-    async with turtleact.open_journal(crashed) as journal, turtleact.open_node("lab") as node:
-        node.action_server(Changed, "count", body, journal=journal, on_restart="resume")
-        async with node.action_client(Changed, "count").attach(ID) as handle:
+    async with crashed(path, Gate().wait) as there:
+        options: Any = {"journal": there.journal, "on_restart": "resume"}
+        there.node.action_server(Changed, "count", body, **options)
+        async with there.node.action_client(Changed, "count").attach(ID) as handle:
             with pytest.raises(GoalAborted, match="type lab_interfaces/action/Count has changed"):
                 await handle.result()
 
@@ -555,10 +556,7 @@ async def test_goals_of_two_types_under_one_name_are_told_apart(path):
     async def other(request: Other.Goal) -> Other.Result:
         return Other.Result()
 
-    async with place(path) as here:
-        here.serve(Gate().wait)
-        crashed = await here.crash_with(goal(2))
-    async with place(crashed) as there:
+    async with crashed(path, Gate().wait, 2) as there:
         there.node.action_server(Other, "count", other, journal=there.journal, on_restart="resume")
         there.serve(Resuming(free=2).generator)
         async with there.client.attach(ID) as handle:
@@ -566,11 +564,8 @@ async def test_goals_of_two_types_under_one_name_are_told_apart(path):
 
 
 async def test_a_built_in_action_leaves_the_goals_of_another_server_alone(path):
-    async with place(path) as here:
-        here.serve(Gate().wait)
-        crashed = await here.crash_with(goal(2))
     async with (
-        place(crashed) as there,
+        crashed(path, Gate().wait, 2) as there,
         turtleact.open_node("turtle_actions", transport=there.node.transport) as node,
     ):
         body = Resuming()
