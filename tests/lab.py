@@ -151,7 +151,7 @@ def local_server(server: turtleact.ActionServer[Any, Any, Any]) -> LocalActionSe
     """The server object that clients in the same process use."""
     name, type_name = f"{server.name}/_action/send_goal", f"{server.action_type.type_name}_SendGoal"
     offered: Any = server.node.transport.local(name, type_name)
-    return cast("LocalActionServer", offered.goal_server)
+    return cast("LocalActionServer", offered.direct)
 
 
 @asynccontextmanager

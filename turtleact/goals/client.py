@@ -41,7 +41,7 @@ from turtleact.goals.client_handle import (
 from turtleact.goals.observers import Detached, GoalObserver, News, Observers
 from turtleact.goals.remote import RemoteActionServer
 from turtleact.goals.running import BodyTask
-from turtleact.goals.server import GoalServer, OffersGoals, goal_id_bytes, new_goal_id
+from turtleact.goals.server import GoalServer, goal_id_bytes, new_goal_id
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, OnFeedback, failure
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
@@ -301,9 +301,9 @@ class ActionClient(Generic[G, R, F]):
         return f"the graph has {', '.join(actions[:5])}"
 
     def _find(self) -> GoalServer | None:
-        found = self._endpoints.find_local()
-        if isinstance(found, OffersGoals):
-            return found.goal_server
+        local = self._endpoints.find_local()
+        if local is not None:
+            return local
         return self._remote if self._remote.is_open else None
 
     def _use(self, server: GoalServer | None) -> None:

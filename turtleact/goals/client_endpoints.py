@@ -55,6 +55,7 @@ from turtleact.transports.base import (
 
 if TYPE_CHECKING:
     from turtleact.goals.fault_reports import LostFeedback
+    from turtleact.goals.server import GoalServer
     from turtleact.interfaces import Service
 
 __all__ = ["TARGETS", "ClientEndpoints"]
@@ -150,14 +151,16 @@ class ClientEndpoints:
         """The types of the action's services and of its feedback message."""
         return implied(cast("type[Action]", self.action_type))
 
-    def find_local(self) -> object | None:
-        """Return the object that serves the action in this process, or None.
+    def find_local(self) -> GoalServer | None:
+        """Return the server of the action in this process, or None.
 
         With introspection, the result is None, because a direct call publishes no events.
         """
         if self._introspection != "off":  # the requests are published, so they must be sent
             return None
-        return self.transport.local(self._names.send_goal, f"{self.action_type.type_name}_SendGoal")
+        type_name = f"{self.action_type.type_name}_SendGoal"
+        handler = self.transport.local(self._names.send_goal, type_name)
+        return None if handler is None else cast("GoalServer | None", handler.direct)
 
     async def wait_until_served(self) -> None:
         """Wait until the action has a server on the graph. Cancelling: safe."""

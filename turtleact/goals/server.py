@@ -22,7 +22,7 @@ import os
 import uuid
 from collections.abc import Awaitable, Callable, Mapping
 from contextvars import Context
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast
 
 import anyio
 
@@ -55,7 +55,6 @@ __all__ = [
     "GoalServer",
     "LocalActionServer",
     "LocalPauses",
-    "OffersGoals",
     "ServerSpec",
     "goal_id_bytes",
     "new_goal_id",
@@ -153,13 +152,6 @@ class GoalServer(Protocol):
 
     def client_lost(self, sender: object) -> None:
         """Tell the server that a client has gone."""
-
-
-@runtime_checkable
-class OffersGoals(Protocol):
-    """Handles ``send_goal`` requests, and gives clients in its process access to the server."""
-
-    goal_server: GoalServer
 
 
 class ServerSpec(NamedTuple):

@@ -126,7 +126,7 @@ class ActionEndpoints:
             server, names.send_goal, lambda: self._implied.send_goal, self._answer_goal
         )
         if introspection == "off":
-            self._send_goal.goal_server = server
+            self._send_goal.direct = server
         self._has_senders = False
         self._told: set[bytes] = set()  # the goals whose results were given while closing
         self._unlisted: MakeEndpoint = partial(_unlisted, endpoint)
@@ -257,15 +257,13 @@ class _ActionService(ServiceHandler):
         server: The action server that the service belongs to.
         name: The name of the service.
         find_type: Returns the class of the service, which is made when it is first needed.
-        goal_server: For ``send_goal``: the server that clients in the same process call directly;
-            see `turtleact.goals.server`. If introspection is on, it is missing. Clients in the same
+        direct: For ``send_goal``: the server that clients in the same process call directly; see
+            `turtleact.goals.server`. If introspection is on, it is None. Clients in the same
             process then send requests, as clients in other processes do.
         answered: A signal that fires whenever a request has been answered.
         observer: The observer of the service's calls; None if there is none.
         waiting: The number of requests that are not answered yet.
     """
-
-    goal_server: LocalActionServer
 
     def __init__(
         self,

@@ -440,9 +440,12 @@ class ServiceHandler:
     Attributes:
         observer: Watches the calls; None (the default) if nobody watches them. Set it before you
             pass the handler to `Transport.serve`.
+        direct: What clients in the same process use instead of sending requests; None (the default)
+            if they must send requests.
     """
 
     observer: CallObserver | None = None
+    direct: object | None = None
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a request. ``caller`` is the gid of the client."""
