@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import count
 from typing import TypeAlias
 
 import msgspec
@@ -64,7 +65,7 @@ class MemoryTransport:
         self._endpoints: dict[int, Endpoint] = {}
         self._by_name: dict[str, dict[int, Endpoint]] = {}  # the same endpoints by name
         self._nodes: dict[int, str] = {}
-        self._opened = 0
+        self._count = count(1)  # numbers nodes and endpoints
         self.changes = 0
         self._changed: Signal | None = None
 
@@ -139,7 +140,7 @@ class MemoryTransport:
         target: Target = EVERY_SERVER,  # noqa: ARG002  # a request goes to the first server
     ) -> Caller:
         """Show a client of a service on the graph, and return the object that calls the service."""
-        caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
+        caller = _Caller(self, endpoint, endpoint.gid or next(self._count).to_bytes(16))
         leave = partial(self.client_lost, endpoint.name, caller.gid)
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
@@ -162,7 +163,7 @@ class MemoryTransport:
 
     def enter(self, node: str) -> Closeable:
         """Show a node on the graph."""
-        number = self._number()
+        number = next(self._count)
         self._nodes[number] = node
         self.tell_change()
         return Closing(partial(self._depart, number))
@@ -236,7 +237,7 @@ class MemoryTransport:
         The function is a `partial`, because a closure would create ten objects per endpoint. A
         graph may have thousands of endpoints.
         """
-        number = self._number()
+        number = next(self._count)
         self._endpoints[number] = endpoint
         self._by_name.setdefault(endpoint.name, {})[number] = endpoint
         self.tell_change()
@@ -255,10 +256,6 @@ class MemoryTransport:
     def _depart(self, number: int) -> None:
         if self._nodes.pop(number, None) is not None:
             self.tell_change()
-
-    def _number(self) -> int:
-        self._opened += 1
-        return self._opened
 
 
 class _Topic:

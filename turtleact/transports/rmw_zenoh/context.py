@@ -151,31 +151,28 @@ class Crew:
     """Runs the tasks of a transport, and cancels them when the transport is closed.
 
     Attributes:
-        running: The tasks that have not ended. The keys are numbers from 1, in the order in which
-            the tasks were started.
+        running: The tasks that have not ended, each with a key of its own.
     """
 
     def __init__(self, tasks: Tasks) -> None:
         self._tasks = tasks
-        self.running: dict[int, Background] = {}
-        self._count = 0
+        self.running: dict[object, Background] = {}
 
     def run(self, running: Coroutine[object, object, None], name: str) -> None:
         """Run a coroutine in a new task."""
-        self._count += 1
-        number = self._count
-        self.running[number] = Background(self._run(running, number), name, self._tasks)
+        key = object()
+        self.running[key] = Background(self._run(running, key), name, self._tasks)
 
     async def aclose(self) -> None:
         """Cancel all tasks one after another, and wait at most `GRACE` seconds for each to end."""
         for background in tuple(self.running.values()):
             await background.aclose(GRACE)
 
-    async def _run(self, running: Coroutine[object, object, None], number: int) -> None:
+    async def _run(self, running: Coroutine[object, object, None], key: object) -> None:
         try:
             await running
         finally:
-            self.running.pop(number, None)
+            self.running.pop(key, None)
 
 
 class Declaration:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import os
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from functools import partial
+from itertools import count
 from time import perf_counter
 from typing import TypeVar
 from weakref import WeakValueDictionary
@@ -88,7 +89,7 @@ class ZenohTransport:
             WeakValueDictionary()
         )
         self._calls = Calls(self.context.crew)
-        self._count = 0
+        self._count = count()  # numbers nodes and endpoints
         self._gone_since: dict[object, set[str]] = {}  # tokens gone during each exploration
         self._awaited: set[anyio.Event] = set()  # set when they end, or at the close
         self.context.send_queue.post(partial(self._watch, session))
@@ -164,7 +165,7 @@ class ZenohTransport:
     def enter(self, node: str) -> Closeable:
         """Show a node with this fully qualified name on the graph."""
         self._check_open()
-        number = self._numbers[node] = self._next_number()
+        number = self._numbers[node] = next(self._count)
         token = node_token(self.context.domain, self.context.session.zid, number, node)
         return Opened(self.context, self._near.enter(node), Declaration(self.context, token))
 
@@ -296,16 +297,12 @@ class ZenohTransport:
         """Give an endpoint its type hash, gid, key and token."""
         self._check_open()
         if (node_id := self._numbers.get(endpoint.node)) is None:
-            node_id = self._numbers[endpoint.node] = self._next_number()
+            node_id = self._numbers[endpoint.node] = next(self._count)
         hashed = msgspec.structs.replace(endpoint, type_hash=format.type_hash)
         domain, zid = self.context.domain, self.context.session.zid
-        token = endpoint_token(domain, zid, node_id, self._next_number(), hashed)
+        token = endpoint_token(domain, zid, node_id, next(self._count), hashed)
         named = msgspec.structs.replace(hashed, gid=gid_of(token))
         return Named(named, data_key(domain, named), token)
-
-    def _next_number(self) -> int:
-        self._count += 1
-        return self._count - 1
 
     def _check_open(self) -> None:
         if not self.context.is_open:
