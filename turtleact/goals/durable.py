@@ -30,7 +30,7 @@ from turtleact.goals.body import ServerOptions
 from turtleact.goals.observers import GoalObserver, Lost
 from turtleact.goals.records import GoalChange, GoalJournal, GoalRecord, Resumed
 from turtleact.goals.server import LocalActionServer, new_goal_id
-from turtleact.goals.state import Goal, GoalEvent, GoalRequest, GoalStatus
+from turtleact.goals.state import TRANSITIONS, Goal, GoalEvent, GoalRequest, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Tasks
@@ -38,12 +38,6 @@ from turtleact.tasks import Tasks
 __all__ = ["DurableGoals", "Restoring"]
 
 _CANCELING = GoalStatus.CANCELING
-
-_STATUS_AFTER = {
-    GoalEvent.SUCCEED: GoalStatus.SUCCEEDED,
-    GoalEvent.ABORT: GoalStatus.ABORTED,
-    GoalEvent.CANCELED: GoalStatus.CANCELED,
-}
 
 Consider = Callable[[GoalRequest], Awaitable[GoalRequest]]
 
@@ -260,7 +254,7 @@ class DurableGoals(GoalObserver):
         """Record a goal's end, and announce the end after it has been written to disk."""
         now = time.time_ns()
         change = GoalChange(
-            status=_STATUS_AFTER[event],
+            status=TRANSITIONS[goal.status, event],
             result=self._results.encode(goal.result),
             reason=encodable(reason),
             ended=now,
