@@ -229,12 +229,9 @@ class DurableGoals(GoalObserver):
         await self._journal.written()
         await self._catch_up(goal)
 
-    def cancel(self, goal_id: bytes | None, stamp: int) -> Awaitable[CancelGoal.Response]:
+    async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
         """Cancel goals, and answer when the disk says so: a canceled goal is not resumed."""
-        return self._write_cancel(self._cancel(goal_id, stamp))
-
-    async def _write_cancel(self, answer: Awaitable[CancelGoal.Response]) -> CancelGoal.Response:
-        response = await answer
+        response = await self._cancel(goal_id, stamp)
         if response.goals_canceling:
             await self._journal.written()
         return response

@@ -139,10 +139,7 @@ class GoalServer(Protocol):
         """Return the goal with that id, or None if there is none."""
 
     def cancel(self, goal_id: bytes | None, stamp: int) -> Awaitable[CancelGoal.Response]:
-        """Cancel the goals that an id and a stamp (ns) select, and return the server's answer.
-
-        The caller must await the answer. A server in this process may cancel the goals before.
-        """
+        """Cancel the goals that an id and a stamp (ns) select, and return the server's answer."""
 
     async def abandon(self, goal: Goal, timeout: float) -> None:
         """Cancel a goal and wait at most ``timeout`` s for its end, shielded from cancellation.
@@ -493,28 +490,16 @@ class LocalActionServer:
 
     # canceling
 
-    def _cancel(self, goal_id: bytes | None, stamp: int) -> Awaitable[CancelGoal.Response]:
-        """Cancel the goals that `turtleact.goals.state.select` chooses, and return the answer.
-
-        Goals that need no permission are canceled before the caller awaits the answer.
-        """
+    async def _cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
+        """Cancel the goals that `turtleact.goals.state.select` chooses, and return the answer."""
         wanted = goal_id if goal_id and any(goal_id) else None
         named = self.find(wanted) if wanted else None
         by_id = wanted is not None and not stamp
         held = self.table.active if not by_id else [] if named is None else [named]
-        chosen = select(held, wanted, stamp)
-        done = {goal for goal in chosen if self.may_cancel is None and self.request_cancel(goal)}
-        return self._answer_cancel(chosen, done, named, by_id=by_id)
-
-    async def _answer_cancel(
-        self, chosen: list[Goal], done: set[Goal], named: Goal | None, *, by_id: bool
-    ) -> CancelGoal.Response:
-        """Cancel those of the chosen goals that may be canceled and are not, and answer."""
         canceled: list[Goal] = []
         kept: list[Goal] = []
-        for goal in chosen:
-            is_canceled = goal in done or await self._ask_and_cancel(goal)
-            (canceled if is_canceled else kept).append(goal)
+        for goal in select(held, wanted, stamp):
+            (canceled if await self._ask_and_cancel(goal) else kept).append(goal)
         asked = len(canceled) + sum(goal.status.is_active for goal in kept)
         code = cancel_code(named, by_id=by_id, asked=asked, let_go=len(canceled))
         infos = [GoalInfo(UUID(goal.id), stamp_of(goal.stamp)) for goal in canceled]
