@@ -38,27 +38,6 @@ def doctor(
     ] = False,
 ) -> int:
     """``doctor``."""
-    return _run(reach, as_json=as_json, verbose=verbose)
-
-
-HEALTHY, FAULTY = 0, 1
-"""The exit statuses without and with faults."""
-
-
-def _run(reach: ConnectOptions, *, as_json: bool, verbose: bool) -> int:
-    """Print the faults of a graph, and return the exit status: 1 if there is a fault.
-
-    The node connects only to the router. The router also shows nodes that hang, until their lease
-    ends. A peer would have to connect to a hanging node before it could see that node.
-
-    Args:
-        reach: The graph to check.
-        as_json: Whether to print a line of JSON for each fault.
-        verbose: Whether to also print facts about the graph, such as its number of nodes.
-
-    Raises:
-        UsageError: if the ``--config`` file cannot be read, or has an invalid value.
-    """
     from turtleact.commands import graph
     from turtleact.commands.interrupts import Interrupts
     from turtleact.doctor.checks import Fault, find_faults
@@ -68,6 +47,8 @@ def _run(reach: ConnectOptions, *, as_json: bool, verbose: bool) -> int:
         snapshot = await take_snapshot(node, with_domains=verbose)
         return _print(find_faults(snapshot), snapshot if verbose else None, as_json=as_json)
 
+    # The node is a client, which connects only to the router. The router also shows nodes that
+    # hang, until their lease ends. A peer would have to connect to such a node to see it.
     try:
         return Interrupts().run(graph.use(graph.open_graph(reach, "client"), look))
     except UsageError:
@@ -76,6 +57,9 @@ def _run(reach: ConnectOptions, *, as_json: bool, verbose: bool) -> int:
         problem = str(error).partition("; ")[0]
         return _print([Fault("no-router", (), problem, START)], None, as_json=as_json)
 
+
+HEALTHY, FAULTY = 0, 1
+"""The exit statuses without and with faults."""
 
 START = (
     "start a router there, with 'turtleact serve' or rmw_zenohd, or give its address with --connect"

@@ -104,9 +104,6 @@ class GoalPrinter:
     def follows(self, goal: Followed) -> None:
         """Called when the goal can be followed, also if somebody else has sent the goal."""
 
-    def served(self, *, is_served: bool) -> None:
-        """Called when the goal's server has gone or has come back. The caller also prints it."""
-
     async def animate(self) -> None:
         """Animate the display. When the goal ends, the caller cancels this coroutine."""
 

@@ -181,7 +181,26 @@ def python_(
     ] = False,
 ) -> int:
     """Write the interfaces of packages as typed Python classes."""
-    return _write_python(names, output, is_check=check)
+    from turtleact.interfaces.generator import MARK, generate, package_texts
+
+    for package in names:
+        _check_package(package)
+    # The packages that these use are written too. Files that would not change are left alone.
+    files = generate(package_texts(*names)).items()
+    wanted = {output / path: text for path, text in files}
+    init = output / "__init__.py"
+    if not init.exists():
+        wanted[init] = f"{MARK} PACKAGE -o DIR`.\n"
+    held = {path: path.read_text("utf-8") for path in wanted if path.exists()}
+    changed = [path for path in sorted(wanted) if held.get(path) != wanted[path]]
+    for path in changed:
+        if not held.get(path, MARK).startswith(MARK):
+            raise UsageError(f"{path} was not generated: choose another folder, or remove it")
+    for path in changed:
+        if not check:
+            write_file(path, wanted[path])
+        say(f"{'would change ' if check else ''}{path}\n")
+    return int(check and bool(changed))
 
 
 @verb(app, knows=True)
@@ -305,49 +324,6 @@ def _find_learned(type_name: str) -> bool:
     for each in reversed(found):  # the newest is found first
         remember(each)
     return bool(found)
-
-
-# writing Python
-
-
-def _write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
-    """Write typed Python classes for the interfaces of some packages, and of the packages they use.
-
-    The path of each written file is printed. Files that would not change are left alone.
-
-    Args:
-        packages: The names of the packages.
-        folder: The folder into which files ``PACKAGE/KIND.py`` are written. It is created if it
-            does not exist.
-        is_check: Whether to write nothing, and only print which files would change.
-
-    Returns:
-        The exit status: 1 if ``is_check`` is true and a file would change, otherwise 0.
-
-    Raises:
-        TurtleactError: if there is no such package. The error suggests the nearest name.
-        InvalidInterface: if a file of an interface is malformed.
-        UsageError: if an existing file was not generated, or a file cannot be written.
-    """
-    from turtleact.interfaces.generator import MARK, generate, package_texts
-
-    for package in packages:
-        _check_package(package)
-    files = generate(package_texts(*packages)).items()
-    wanted = {folder / path: text for path, text in files}
-    init = folder / "__init__.py"
-    if not init.exists():
-        wanted[init] = f"{MARK} PACKAGE -o DIR`.\n"
-    held = {path: path.read_text("utf-8") for path in wanted if path.exists()}
-    changed = [path for path in sorted(wanted) if held.get(path) != wanted[path]]
-    for path in changed:
-        if not held.get(path, MARK).startswith(MARK):
-            raise UsageError(f"{path} was not generated: choose another folder, or remove it")
-    for path in changed:
-        if not is_check:
-            write_file(path, wanted[path])
-        say(f"{'would change ' if is_check else ''}{path}\n")
-    return int(is_check and bool(changed))
 
 
 # writing packages

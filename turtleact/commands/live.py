@@ -101,7 +101,6 @@ class LivePrinter(GoalPrinter):
     def __init__(self, *, wants_feedback: bool) -> None:
         super().__init__(wants_feedback=wants_feedback, most_lines=MOST_LINES)
         self._screen = Screen(self._compose)
-        self._is_served = True
         self._course: GoalPath | None = None
         self._trails: PoseTrails | None = None
         self._feedback: Message | None = None
@@ -119,10 +118,6 @@ class LivePrinter(GoalPrinter):
         drives, leader = sends_a_turtle(goal.name, request)
         if (drives or hasattr(request, "targets")) and leader in pose_topics(goal.node):
             self._trails = PoseTrails(goal.node, leader)
-
-    def served(self, *, is_served: bool) -> None:
-        """Show whether the goal has a server."""
-        self._is_served = is_served
 
     def feedback(self, feedback: Message) -> None:
         """Print a feedback message on one line, because the display shows the last one in full."""
@@ -159,14 +154,13 @@ class LivePrinter(GoalPrinter):
             self._feedback, self._heard = handle.last_feedback, now
         world = None if self._trails is None else self._trails.look(self._course)
         fraction, progress = (None, "") if has_ended else self._progress(now)
-        marks = {"paused": handle.is_paused, "server gone": not self._is_served}
         goal = GoalView(
             self._shown.name,
             handle.goal_id.hex(),
             handle.status,
             now - self._began,
             progress,
-            [] if has_ended else [mark for mark, holds in marks.items() if holds],
+            ["paused"] if handle.is_paused and not has_ended else [],
             goal=handle.request,
             feedback=self._feedback,
             fraction=fraction,

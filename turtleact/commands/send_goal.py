@@ -351,7 +351,6 @@ class GoalSender:
         while True:
             is_served = graph.is_served(sent.node, sent.name, sent.action_type.type_name)
             if is_served is not was_served:
-                self._printer.served(is_served=is_served)
                 has = "is back" if is_served else f"has gone: {waits}"
                 note(f"the server of {self._name} {has}")
             was_served = is_served
