@@ -90,6 +90,8 @@ def test_what_cannot_be_declared(context):
         "lab", context=context, parameter_overrides=[Parameter("speed", value="fast")]
     )
     node.declare_parameter("turns", 3)
+    with pytest.raises(TypeError, match="ParameterDescriptor"):
+        node.declare_parameter("length", 3, WRONG)
     with pytest.raises(ParameterAlreadyDeclaredException, match="turns"):
         node.declare_parameter("turns", 3)
     with pytest.raises(InvalidParameterException, match="Invalid parameter name"):
@@ -175,6 +177,19 @@ def test_a_float_is_near_a_step_of_its_range(node, value, fits):
     bounds = FloatRange(from_value=0.0, to_value=1.0, step=0.25)
     node.declare_parameter("speed", 0.25, Descriptor(floating_point_range=[bounds]))
     assert node.set_parameters([Parameter("speed", value=value)])[0].successful is fits
+
+
+def test_a_descriptor_is_replaced_if_it_allows_a_value(node, free):
+    node.declare_parameter("turns", 3)
+    small = Descriptor(type=2, integer_range=[IntegerRange(from_value=0, to_value=2, step=1)])
+    with pytest.raises(InvalidParameterValueException, match="out of range"):
+        node.set_descriptor("turns", small)
+    small.read_only = True
+    assert node.set_descriptor("turns", small, Value(type=2, integer_value=1)).integer_value == 1
+    assert node.describe_parameter("turns").name == "turns"
+    with pytest.raises(ParameterImmutableException):
+        node.set_descriptor("turns", Descriptor())
+    assert free.set_descriptor("turns", small).type == 0
 
 
 def test_all_parameters_are_set_or_none(node):

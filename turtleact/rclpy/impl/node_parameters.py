@@ -141,6 +141,8 @@ class NodeParameters:
             )
             descriptor = _descriptor(dynamic_typing=True)
         descriptor = _descriptor() if descriptor is None else descriptor
+        if not isinstance(descriptor, interface_class("rcl_interfaces/msg/ParameterDescriptor")):
+            raise TypeError(f"expected a ParameterDescriptor, not {type(descriptor)}")
         is_typed = isinstance(value, Parameter.Type)
         if descriptor.dynamic_typing and is_typed:
             raise ValueError(
@@ -259,8 +261,11 @@ class NodeParameters:
                 number.
 
         Raises:
+            TypeError: if the prefixes are one string.
             ValueError: if the depth is negative.
         """
+        if isinstance(prefixes, str):
+            raise TypeError("the prefixes must be a list of strings")
         if depth < 0:
             raise ValueError("depth must be greater than or equal to zero")
         result = interface_class("rcl_interfaces/msg/ListParametersResult")()
@@ -429,6 +434,36 @@ class NodeParameters:
     def describe_parameters(self, names: list[str]) -> list[Anything]:
         """Return several descriptors; see `describe_parameter`."""
         return [self.describe_parameter(name) for name in names]
+
+    def set_descriptor(
+        self, name: str, descriptor: Anything, alternative_value: Anything = None
+    ) -> Anything:
+        """Replace the descriptor of a parameter, and return the value as a ``ParameterValue``.
+
+        Args:
+            name: The name of the parameter.
+            descriptor: The new descriptor. Its name is ignored.
+            alternative_value: A ``ParameterValue`` to set if the descriptor forbids the present
+                value.
+
+        Raises:
+            ParameterNotDeclaredException: if the parameter is not declared, and undeclared
+                parameters are not allowed.
+            ParameterImmutableException: if the parameter is read-only.
+            InvalidParameterValueException: if the descriptor forbids both values.
+        """
+        wanted = self.get_parameter(name)
+        if not self.has_parameter(name):
+            return wanted.get_parameter_value()
+        if self._descriptors[name].read_only:
+            raise ParameterImmutableException(name)
+        result = self._apply([wanted], {name: descriptor}, is_declared_now=True)
+        if not result.successful and alternative_value is not None:
+            wanted = Parameter(name, value=parameter_value_to_python(alternative_value))
+            result = self._apply([wanted], {name: descriptor}, is_declared_now=True)
+        if not result.successful:
+            raise InvalidParameterValueException(name, wanted.value, result.reason)
+        return wanted.get_parameter_value()
 
 
 class ParameterService:
