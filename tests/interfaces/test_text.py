@@ -192,10 +192,6 @@ def test_malformed_text_is_told_with_line_column_and_caret():
         ("a\nb: \x07", "2:4", "character U+0007 is not allowed"),
         ('name: "\\Uffffffff"', "1:10", "a number here is too large"),
         (f"%YAML {'9' * 5000}", "1:7", "a number here is too large"),
-        ("names: &a [*a]", "1:8", "nested more than 100 levels deep"),
-        ("[" * 5000, "1:102", "nested more than 100 levels deep"),
-        ("- " * 5000, "1:203", "nested more than 100 levels deep"),
-        ('{"x":' * 5000, "1:", "nested more than 100 levels deep"),
         ("\tx: 1", "1:1", "found character '\\t' that cannot start any token"),
         ("x: 'a\n", "1:6", "found unexpected end of stream\n  x: 'a\n       ^"),
         ("x: 1\n\t\n", "2:1", "found character '\\t' that cannot start any token"),
@@ -216,9 +212,9 @@ def test_a_long_line_is_cut_around_the_caret():
     assert (len(line), line[caret.index("^")]) == (122, "}")
 
 
-def test_json_nested_too_deeply_is_refused():
-    text = '{"x":' * 150 + "1" + "}" * 150
-    with pytest.raises(InvalidGoal, match=r"^goal: nested more than 100 levels deep"):
+@pytest.mark.parametrize("text", ["names: &a [*a]", "[" * 5000, "- " * 5000, '{"x":' * 5000])
+def test_a_text_that_is_nested_too_deeply_is_refused(text):
+    with pytest.raises(InvalidGoal, match=r"^goal: nested too deeply$"):
         from_text(Sample, text)
 
 
@@ -227,11 +223,11 @@ def test_a_finite_number_never_becomes_infinite():
         from_text(Sample, "x: 1e999", allow_nonfinite=True)
 
 
-def test_aliases_that_blow_up_are_refused():
+def test_aliases_do_not_blow_up():
     rows = ["a0: &a0 [1]"] + [
-        f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9)
+        f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)
     ]
-    with pytest.raises(InvalidGoal, match=r"^goal: too large: more than 100000 values"):
+    with pytest.raises(InvalidGoal, match=r"^goal: unknown field 'a0'"):
         from_text(Sample, "\n".join(rows))
 
 

@@ -45,11 +45,6 @@ M = TypeVar("M", bound=Message)
 #: The longest text accepted. PyYAML reads about 200 kB a second, and nobody should wait longer.
 MOST_JSON = 2**20
 MOST_YAML = 2**17
-#: The maximum number of values after following aliases, and the maximum depth.
-MOST_NODES = 100_000
-DEEPEST = 100
-TOO_DEEP = f"nested more than {DEEPEST} levels deep"
-
 WORDS = {
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
@@ -79,8 +74,7 @@ def from_text(
 
     Values are not converted to the types of fields: a number in quotes is text, ``3.7`` is not an
     integer, and ``no`` is not a bool. Texts with tags, merge keys or more than one document are
-    refused. Texts are also refused if they are too long or too deeply nested, or if aliases make
-    them too large.
+    refused, and so are texts that are too long or too deeply nested.
 
     Args:
         cls: The class of the message.
@@ -99,7 +93,10 @@ def from_text(
     Point(x=1.0, y=1000.0, z=0.0)
     """
     document = Document(text.removeprefix("\ufeff"), root, source, allow_nonfinite)
-    return from_dict(cls, tree_of(document), root=root)  # type: ignore[arg-type]  # it checks that
+    try:
+        return from_dict(cls, tree_of(document), root=root)  # type: ignore[arg-type]  # it checks that
+    except RecursionError:
+        document.refuse("nested too deeply")
 
 
 def to_yaml(message: Message) -> str:
@@ -159,21 +156,15 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
         Composer.__init__(self)
         BaseResolver.__init__(self)
         self.document = document
-        self.depth = 0
 
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
-        """Compose one node. Refuse tags, and nesting so deep that Python's stack would overflow."""
+        """Compose one node, and refuse tags."""
         event = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs have no type here
         if getattr(event, "tag", None) is not None:
             self.document.refuse(
                 f"tags ({event.tag}) are not supported", place_of(event.start_mark)
             )
-        if self.depth > DEEPEST:
-            self.document.refuse(TOO_DEEP, place_of(event.start_mark))
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
+        return super().compose_node(parent, index)
 
 
 def tree_of(document: Document) -> object:
@@ -181,13 +172,13 @@ def tree_of(document: Document) -> object:
     text = document.text
     if text.lstrip()[:1] == "{" and len(text) <= MOST_JSON:
         # YAML accepts most JSON, and its parser knows the place of an error.
-        with suppress(ValueError, RecursionError):
+        with suppress(ValueError):
             return json_tree(document)
     if len(text) > MOST_YAML:
         problem = f"{len(text)} characters are too many: at most {MOST_YAML}"
         document.refuse(f"{problem}, or {MOST_JSON} of JSON")
     node = compose(document)
-    return {} if node is None else Expansion(document).value(node, 0)
+    return {} if node is None else value_of(document, node, {})
 
 
 def json_tree(document: Document) -> object:
@@ -206,7 +197,7 @@ def json_tree(document: Document) -> object:
         parse_float=number,
         parse_constant=oddity,
     )
-    return sounded(document, value, 0)
+    return without_nulls(value)
 
 
 def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -217,14 +208,12 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return result
 
 
-def sounded(document: Document, value: object, depth: int) -> object:
-    """Replace each null in a JSON value by a `Spelled`. Raise an error if nesting is too deep."""
-    if depth > DEEPEST:
-        document.refuse(TOO_DEEP)
+def without_nulls(value: object) -> object:
+    """Replace each null in a JSON value by a `Spelled`."""
     if isinstance(value, dict):
-        return {key: sounded(document, item, depth + 1) for key, item in value.items()}
+        return {key: without_nulls(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [sounded(document, item, depth + 1) for item in value]
+        return [without_nulls(item) for item in value]
     return Spelled("null") if value is None else value
 
 
@@ -260,41 +249,35 @@ def place_of(mark: Mark) -> tuple[int, int]:
     return mark.line, mark.column
 
 
-class Expansion:
-    """Converts YAML nodes to plain values, follows aliases, and limits the number of values."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self.left = MOST_NODES
-
-    def value(self, node: Node, depth: int) -> object:
-        """Convert a node to a plain value, and count the value."""
-        self.left -= 1
-        if self.left < 0:
-            self.document.refuse(f"too large: more than {MOST_NODES} values, with aliases followed")
-        if depth > DEEPEST:
-            self.document.refuse(TOO_DEEP, place_of(node.start_mark))
+def value_of(document: Document, node: Node, made: dict[int, object]) -> object:
+    """Convert a YAML node to a plain value. What has an alias is converted once."""
+    if id(node) not in made:
         if isinstance(node, yaml.MappingNode):
-            return self.mapping(node, depth + 1)
-        if isinstance(node, yaml.SequenceNode):
-            return [self.value(item, depth + 1) for item in node.value]
-        if isinstance(node, yaml.ScalarNode) and not node.style:
-            return scalar(node.value, self.document.allow_nonfinite)
-        return node.value
+            made[id(node)] = mapping(document, node, made)
+        elif isinstance(node, yaml.SequenceNode):
+            made[id(node)] = [value_of(document, item, made) for item in node.value]
+        elif isinstance(node, yaml.ScalarNode) and not node.style:
+            made[id(node)] = scalar(node.value, document.allow_nonfinite)
+        else:
+            made[id(node)] = node.value
+    return made[id(node)]
 
-    def mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, object]:
-        """Convert a mapping to a dict. The keys stay text, even those that look like numbers."""
-        result: dict[str, object] = {}
-        for key, item in node.value:
-            place = place_of(key.start_mark)
-            if not isinstance(key, yaml.ScalarNode):
-                self.document.refuse("a field's name must be a single word", place)
-            if key.value == "<<" and not key.style:
-                self.document.refuse("merge keys (<<) are not supported", place)
-            if key.value in result:
-                self.document.refuse(f"{describe(key.value)} appears twice", place)
-            result[key.value] = self.value(item, depth)
-        return result
+
+def mapping(
+    document: Document, node: yaml.MappingNode, made: dict[int, object]
+) -> dict[str, object]:
+    """Convert a mapping to a dict. The keys stay text, even those that look like numbers."""
+    result: dict[str, object] = {}
+    for key, item in node.value:
+        place = place_of(key.start_mark)
+        if not isinstance(key, yaml.ScalarNode):
+            document.refuse("a field's name must be a single word", place)
+        if key.value == "<<" and not key.style:
+            document.refuse("merge keys (<<) are not supported", place)
+        if key.value in result:
+            document.refuse(f"{describe(key.value)} appears twice", place)
+        result[key.value] = value_of(document, item, made)
+    return result
 
 
 def scalar(word: str, allow_nonfinite: bool) -> object:
