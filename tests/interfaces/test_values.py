@@ -76,11 +76,15 @@ def test_a_value_that_fits_becomes_pythons_own(name, value, result):
         ("byte", b"ab", "got b'ab'"),
         ("int32", 2**31, r"2147483648 is out of range for int32 \(-2147483648 to 2147483647\)"),
         ("uint8", -1, r"-1 is out of range for uint8 \(0 to 255\)"),
-        ("uint64", 2**2000, "a number of 2001 bits is out of range for uint64"),
+        (
+            "uint64",
+            2**2000,
+            r"11481306952742.*\.\.\..* is out of range for uint64",
+        ),
         ("float64", "abc", r"expected a number \(float64\), got 'abc'"),
         ("float64", False, "got False"),
         ("float64", 1j, "got 1j"),
-        ("float64", 10**400, "a number of 1329 bits is out of range for float64"),
+        ("float64", 10**400, r"1000.*\.\.\.0000.* is out of range for float64"),
         (
             "float32",
             1e39,

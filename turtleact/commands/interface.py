@@ -30,14 +30,13 @@ from turtleact.interfaces import (
     Action,
     Message,
     get_interface,
-    interface_text,
     known_interfaces,
     to_dict,
     to_yaml,
     type_hash,
 )
 from turtleact.interfaces.definition import did_you_mean
-from turtleact.interfaces.loading import authored_text, commented_text, find_interface
+from turtleact.interfaces.loading import commented_text, find_interface, text_of
 from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.interfaces.text import flow
 from turtleact.interfaces.type_hash import referenced
@@ -375,7 +374,7 @@ def _learned_files() -> Iterator[tuple[Path, str]]:
             if source is not None and source.encoding == "idl":
                 yield Path(package, kind, f"{last}.idl"), source.raw_file_contents
             else:
-                text = authored_text(cls) or interface_text(cls)
+                text = text_of(cls)
                 yield Path(package, kind, f"{last}.{kind}"), f"{text.rstrip()}\n"
 
 

@@ -41,7 +41,7 @@ from turtleact.interfaces.definition import (
     parts_of,
     type_name_pattern,
 )
-from turtleact.interfaces.loading import authored_text, installed_class, interface_text
+from turtleact.interfaces.loading import installed_class, text_of
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.standard.type_description_interfaces.msg import (
     IndividualTypeDescription,
@@ -286,7 +286,7 @@ def _source(cls: Interface) -> TypeSource:
     _package, kind, last = name.split("/")
     if "_" in last:  # no name in an interface file has one
         return TypeSource(name, "implicit", "")
-    return TypeSource(name, kind, authored_text(cls) or interface_text(cls))
+    return TypeSource(name, kind, text_of(cls))
 
 
 class Known(NamedTuple):

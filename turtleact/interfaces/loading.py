@@ -98,6 +98,7 @@ __all__ = [
     "load_service",
     "load_workspace",
     "offer_interfaces",
+    "text_of",
 ]
 
 WIDTH = 80
@@ -123,7 +124,7 @@ def get_interface(type_name: str) -> Interface:
     >>> get_interface("geometry_msgs/msg/Point")(x=1.0)
     Point(x=1.0, y=0.0, z=0.0)
     """
-    return first_found(type_name, KINDS)
+    return needed(installed_class(type_name), type_name)
 
 
 def known_classes(type_name: str) -> Iterator[Interface]:
@@ -135,13 +136,15 @@ def known_classes(type_name: str) -> Iterator[Interface]:
     yield from learned_classes(type_name)
 
 
-def installed_class(type_name: str) -> Interface | None:
+def installed_class(type_name: str, kinds: tuple[str, ...] = KINDS) -> Interface | None:
     """Return what `get_interface` returns; None for an unknown name, without a look for others.
+
+    If the name is ``package/Name``, return the class of the first kind in ``kinds`` that has one.
 
     Raises:
         InvalidInterface: if the interface's file is malformed.
     """
-    found = (look_up(name, ()) for name in full_names(type_name, KINDS))
+    found = (look_up(name, ()) for name in full_names(type_name, kinds))
     return next((each for each in found if each is not None), None)
 
 
@@ -175,17 +178,17 @@ def get_action(type_name: str) -> type[DynamicAction]:
         InvalidInterface: if the name belongs to a message or a service, or the interface's file is
             malformed.
     """
-    return of_kind(first_found(type_name, ("action", "msg", "srv")), Action)  # type: ignore[return-value]  # DynamicAction is no more than Action
+    return of_kind(needed(installed_class(type_name, ("action", "msg", "srv")), type_name), Action)  # type: ignore[return-value]  # DynamicAction is no more than Action
 
 
 def get_message(type_name: str) -> type[DynamicMessage]:
     """Return the class of a message by name; see `get_action` for names and errors."""
-    return of_kind(first_found(type_name, ("msg", "srv", "action")), Message)  # type: ignore[return-value]  # as above
+    return of_kind(needed(installed_class(type_name, ("msg", "srv", "action")), type_name), Message)  # type: ignore[return-value]  # as above
 
 
 def get_service(type_name: str) -> type[DynamicService]:
     """Return the class of a service by name; see `get_action` for names and errors."""
-    return of_kind(first_found(type_name, ("srv", "msg", "action")), Service)  # type: ignore[return-value]  # as above
+    return of_kind(needed(installed_class(type_name, ("srv", "msg", "action")), type_name), Service)  # type: ignore[return-value]  # as above
 
 
 def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
@@ -331,7 +334,11 @@ def interface_source(type_name: str) -> str:
         UnknownInterface: if the name is unknown; the error suggests the most similar name.
         InvalidInterface: if the interface's file is malformed.
     """
-    cls = get_interface(type_name)
+    return text_of(get_interface(type_name))
+
+
+def text_of(cls: Interface) -> str:
+    """Return the text of an interface as its author wrote it, or else a generated text."""
     return authored_text(cls) or interface_text(cls)
 
 
@@ -545,18 +552,6 @@ def made_from(
     if on_use is not None:
         on_use(type_name, str(file))
     return build(said, making)
-
-
-def first_found(type_name: str, kinds: tuple[str, ...]) -> Interface:
-    """Return the class with this name.
-
-    If the name is ``package/Name``, return the class of the first kind in ``kinds`` that has one.
-    """
-    for name in full_names(type_name, kinds):
-        found = look_up(name, ())
-        if found is not None:
-            return found
-    return needed(None, type_name)
 
 
 B = TypeVar("B", Message, Service, Action)

@@ -57,7 +57,7 @@ from turtleact.interfaces.definition import (
 from turtleact.interfaces.finders import BUILT_IN, Finders
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
     from typing import Annotated as array
     from typing import Annotated as bounded
 
@@ -195,28 +195,17 @@ class Registry:
         """Return the type names of all registered classes."""
         return list(self._known)
 
-    def state(self) -> dict[str, object]:
-        """Return a copy of everything that is registered now, which `restore` accepts."""
-        return {name: copy(value) for name, value in vars(self).items()}
-
-    def restore(self, state: Mapping[str, object]) -> None:
-        """Restore the registrations from a copy that `state` has made.
-
-        Everything that was registered after the copy was made is forgotten.
-        """
-        vars(self).update({name: copy(value) for name, value in state.items()})
-
     @contextlib.contextmanager
     def isolated(self) -> Iterator[None]:
         """Forget, at the end of a block, everything that was registered inside the block.
 
         Tests use this.
         """
-        kept = self.state()
+        kept = {name: copy(value) for name, value in vars(self).items()}
         try:
             yield
         finally:
-            self.restore(kept)
+            vars(self).update(kept)
 
 
 #: The only registry of the process. It is global because a class statement has no other place to

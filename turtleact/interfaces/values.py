@@ -63,19 +63,8 @@ def describe(value: object) -> str:
     return SHORT.repr(value)
 
 
-class ShortRepr(reprlib.Repr):
-    """Shortens values for errors, even ints that are too long for Python to convert to text."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxstring = self.maxother = 60
-
-    def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002  the base class's signature
-        """Return an int as text, or only its size in bits if it is too large for any ROS type."""
-        return repr(x) if x.bit_length() <= 128 else f"a number of {x.bit_length()} bits"
-
-
-SHORT = ShortRepr()
+SHORT = reprlib.Repr()
+SHORT.maxstring = SHORT.maxother = 60
 
 
 class Spelled:
