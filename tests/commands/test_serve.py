@@ -221,13 +221,6 @@ def test_all_feedback_comes_and_none_after_the_result(shared):
     assert (status, kinds) == (0, ["accepted", *["feedback"] * 39, "result"])
 
 
-def test_each_change_of_a_goal_is_a_line(served):
-    served.send("quick", order=1)
-    _, out, _ = served.end(signal.SIGTERM)
-    assert [line.split()[-1] for line in out.splitlines()] == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
-    assert {line.split()[1] for line in out.splitlines()} == {"/quick"}
-
-
 def test_a_goal_is_canceled_from_a_third_process(shared):
     sender = shared.start("send-goal", "endless", "--feedback", "--plain")
     first_lines(sender, "Feedback:")
@@ -516,15 +509,6 @@ def test_a_signal_ends_a_server_that_waits_for_another(served, lab):
     standby.send_signal(signal.SIGINT)
     status, out, _ = ended(standby)
     assert (status, out) == (0, "")
-
-
-def test_a_page_is_served_besides(lab):
-    with serving(lab, "servedlab", "--no-sim", "--web", "0") as server:
-        begin, _, url = server.ready.strip().rpartition(" ")
-        assert begin == "web page, and rosbridge, at"
-        with urllib.request.urlopen(url, timeout=PATIENCE) as page:
-            assert page.status == 200
-        assert server.end(signal.SIGTERM)[0] == 0
 
 
 def follow_to_the_end(

@@ -8,7 +8,6 @@ import subprocess
 import sys
 
 import pytest
-from typer.core import TyperGroup
 
 from turtleact.commands import GROUPS, VERBS, app, send_goal, serving
 from turtleact.commands.goals import moment
@@ -252,13 +251,6 @@ def test_where_to_look_reaches_the_order(order):
     assert made.options == (" --connect tcp/robot:7447,tcp/arm:7447 --config 'a b' --domain 7")
 
 
-@pytest.mark.parametrize("arguments", [["action"], ["action", "-h"], ["action", "--help"]])
-def test_a_group_prints_what_there_is(turtleact, arguments):
-    ran = turtleact(*arguments)
-    assert (ran.status, ran.err) == (0, "")
-    assert "send_goal  Send a goal" in ran.out
-
-
 # Prints what each verb imports, a line each. A child per verb begins with what the parent imported.
 IMPORTS = """
 import io, os, sys
@@ -311,14 +303,6 @@ def test_help_fits_the_terminal_and_cuts_nothing_at_80_columns(turtleact, monkey
         assert "…" not in ran.out
 
 
-def test_the_tables_of_verbs_name_what_typer_knows():
-    for verb in VERBS:
-        command = app.load(verb)
-        assert isinstance(command, TyperGroup) == (verb in GROUPS)
-        if verb in GROUPS:
-            assert [*command.commands] == list(GROUPS[verb])
-
-
 @pytest.mark.parametrize("option", ["--no-daemon", "--spin-time 2", "--spin-time=1"])
 def test_ros2s_ways_of_looking_at_the_graph_are_accepted(on_graph, graphs, option):
     ran = on_graph(graphs.goals, "action", "list", *option.split())
@@ -341,13 +325,6 @@ def test_help_has_colours_on_a_terminal_only(turtleact):
     os.close(main)
     assert re.search(rb"\x1b\[1;36msend-goal", written)
     assert "\x1b" not in turtleact("--help").out
-
-
-@pytest.mark.parametrize("verb", [[], ["topic"], ["send-goal"]])
-def test_help_shows_no_type_for_a_switch(turtleact, verb):
-    out = turtleact(*verb, "--help").out
-    assert "--help" in out
-    assert "bool" not in out
 
 
 @pytest.mark.parametrize(

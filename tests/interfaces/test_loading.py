@@ -297,12 +297,6 @@ def test_the_source_of_an_interface_is_the_installed_one_if_it_says_the_same(tmp
     assert interface_source("std_msgs/msg/Bool") == "# Yes or no.\nbool data"
 
 
-def test_the_source_of_a_loaded_interface_comes_first(tmp_path):
-    write(tmp_path, "std_msgs/msg/Bool", "# Loaded.\nbool data")
-    load_interfaces(tmp_path)
-    assert interface_source("std_msgs/msg/Bool") == "# Loaded.\nbool data"
-
-
 def test_an_interface_without_a_file_says_what_it_is():
     assert interface_source("example_interfaces/action/Fibonacci_SendGoal").endswith(
         "---\nbool accepted\nbuiltin_interfaces/Time stamp"

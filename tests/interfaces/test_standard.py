@@ -10,7 +10,6 @@ import pytest
 
 from turtleact.interfaces import (
     get_interface,
-    load_interfaces,
     standard,
     type_hash,
 )
@@ -86,15 +85,6 @@ def test_an_unknown_shortcut_is_an_attribute_error():
 def test_a_class_that_was_forgotten_is_what_its_name_gives():
     REGISTRY.forget("action_msgs/msg/GoalInfo")
     assert get_interface("action_msgs/msg/GoalInfo") is standard.GoalInfo
-
-
-def test_a_users_file_goes_before_a_class_that_ships(tmp_path):
-    file = tmp_path / "geometry_msgs" / "msg" / "Point.msg"
-    file.parent.mkdir(parents=True)
-    file.write_text("float64 x\n")
-    load_interfaces(tmp_path)
-    assert get_interface("geometry_msgs/msg/Vector3") is standard.Vector3
-    assert get_interface("geometry_msgs/msg/Point") is not standard.Point
 
 
 def test_a_users_class_is_not_replaced_by_one_that_ships():

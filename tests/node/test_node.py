@@ -107,14 +107,6 @@ async def test_the_full_name_is_the_namespace_and_the_name(namespace, full_name)
         assert node.graph().nodes == (full_name,)
 
 
-@pytest.mark.parametrize("name", ["", "1lab", "the/lab", "/lab", "~lab", "the lab", "lab-1"])
-async def test_what_is_no_name_of_a_node_is_refused(name):
-    transport = MemoryTransport()
-    with pytest.raises(InvalidName):
-        await turtleact.open_node(name, transport=transport).__aenter__()
-    assert is_deserted(transport)
-
-
 @pytest.mark.parametrize("namespace", ["", "/sim/", "/a//b", "/1", "~", "~/sim", "/the sim"])
 async def test_what_is_no_namespace_is_refused(namespace):
     transport = MemoryTransport()

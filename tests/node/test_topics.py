@@ -61,12 +61,6 @@ async def read_to_the_end(receiving: Subscription[Word]) -> list[int]:
 # --- publishing and reading -----------------------------------------------------------------
 
 
-async def test_messages_are_read_in_order():
-    async with line() as words:
-        say(words.sending, 1, 2, 3)
-        assert await read(words.receiving, 3) == [1, 2, 3]
-
-
 async def test_a_message_is_waited_for():
     async with line() as words, running(lambda: read(words.receiving, 1)) as reading:
         assert not reading.done.is_set()

@@ -15,12 +15,10 @@ from turtleact.rclpy.clock import ROSClock
 from turtleact.rclpy.exceptions import (
     InvalidServiceNameException,
     InvalidTopicNameException,
-    NoTypeSupportImportedException,
 )
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.logging import Console, LoggingSeverity
 from turtleact.rclpy.messages import (
-    check_for_type_support,
     check_is_valid_action_type,
     check_is_valid_msg_type,
     check_is_valid_srv_type,
@@ -185,14 +183,6 @@ def test_one_message_can_be_waited_for(node):
 def test_an_interface_of_another_kind_is_refused(check, interface):
     with pytest.raises(RuntimeError, match="not valid"):
         check(interface)
-
-
-def test_a_class_that_is_no_interface_is_refused():
-    with pytest.raises(AttributeError, match="ROS 1"):
-        check_for_type_support(str)
-    unready = type("Meta", (type,), {"_TYPE_SUPPORT": None})("Unready", (), {})
-    with pytest.raises(NoTypeSupportImportedException):
-        check_for_type_support(unready)
 
 
 # --- the log ------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import pytest
 from turtleact.errors import UnknownInterface
 from turtleact.interfaces import get_interface
 from turtleact.web.name_lookup import (
-    action_class,
     message_class,
     service_class,
 )
@@ -19,20 +18,6 @@ from turtleact.web.name_lookup import (
 )
 def test_a_message_is_known_by_every_spelling_of_its_type(spelled):
     assert message_class(spelled) is get_interface("turtlesim/msg/Pose")
-
-
-@pytest.mark.parametrize(
-    "spelled", ["example_interfaces/Fibonacci", "example_interfaces/action/Fibonacci"]
-)
-def test_an_action_is_known_by_every_spelling_of_its_type(spelled):
-    assert action_class(spelled) is get_interface("example_interfaces/action/Fibonacci")
-
-
-@pytest.mark.parametrize(
-    "spelled", ["std_srvs/SetBool", "std_srvs/srv/SetBool", "std_srvs::srv::dds_::SetBool_"]
-)
-def test_a_service_is_known_by_every_spelling_of_its_type(spelled):
-    assert service_class(spelled) is get_interface("std_srvs/srv/SetBool")
 
 
 def test_a_type_that_an_action_implies_is_known():

@@ -122,18 +122,6 @@ async def test_the_address_of_an_ipv6_host_is_in_brackets():
             pytest.skip(f"there is no IPv6 here: {error}")
 
 
-async def test_clients_get_a_close_frame_at_the_end():
-    async with turtleact.open_node("lab") as node:
-        async with open_web(node, port=0) as web:
-            client = await connect(address(web))
-            await ask(client, "/rosapi/nodes")
-        with pytest.raises(websockets.ConnectionClosed) as closed:
-            await client.recv()
-        assert closed.value.rcvd is not None
-        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1001, "the server is closing")
-        await client.wait_closed()
-
-
 async def test_signals_are_left_to_the_program():
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     async with turtleact.open_node("lab") as node, open_web(node, port=0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from turtleact.interfaces.standard import UUID, GoalStatusMessage, Twist
-from turtleact.web.name_lookup import action_class, service_class
+from turtleact.web.name_lookup import action_class
 from turtleact.web.rosapi import typedefs
 
 
@@ -47,8 +47,3 @@ def test_constants_are_described():
         ]
         == "2"
     )
-
-
-def test_a_part_of_a_service_goes_by_its_own_name():
-    (described,) = typedefs(service_class("turtlesim/Spawn").Request)
-    assert described["type"] == "turtlesim/Spawn_Request"
