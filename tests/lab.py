@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar, cast
 
 import anyio
+import anyio.lowlevel
 import pytest
 
 import turtleact
@@ -285,6 +286,21 @@ def free_endpoint() -> str:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def answering(answer: object, *, waits: bool = False) -> Callable[[object], Any]:
+    """A callback, or a coroutine function, that returns or raises this."""
+
+    def call(_: object) -> object:
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    async def wait(subject: object) -> object:
+        await anyio.lowlevel.checkpoint()
+        return call(subject)
+
+    return wait if waits else call
 
 
 class HandClock(VirtualClock):

@@ -27,6 +27,7 @@ from ..lab import (
     Count,
     Gate,
     HandClock,
+    answering,
     apart,
     count,
     feedback,
@@ -487,24 +488,11 @@ async def test_a_goal_that_waits_is_canceled_at_once_without_waiting():
         assert gate.log == ["begun"]
 
 
-def agree(handle):
-    return CancelResponse.ACCEPT
-
-
-def refuse(handle):
-    return CancelResponse.REJECT
-
-
-async def refuse_later(handle):
-    await take_turns()
-    return CancelResponse.REJECT
-
-
-@pytest.mark.parametrize("callback", [refuse, refuse_later])
-async def test_the_cancel_callback_may_refuse_who_does_not_wait(where, callback):
-    gate = Gate()
+@pytest.mark.parametrize("waits", [False, True])
+async def test_the_cancel_callback_may_refuse_who_does_not_wait(where, waits):
+    gate, refuse = Gate(), answering(CancelResponse.REJECT, waits=waits)
     async with (
-        where(gate.wait, cancel_callback=callback) as served,
+        where(gate.wait, cancel_callback=refuse) as served,
         served.client.send_goal(goal(7)) as handle,
     ):
         await settle()
