@@ -60,6 +60,19 @@ class Count(Action, type_name="lab_interfaces/action/Count"):
         so_far: list[int32] = []
 
 
+class Other(Action, type_name="lab_interfaces/action/Other"):
+    """Another action, with the same fields."""
+
+    class Goal(Message):
+        upto: int32 = 0
+
+    class Result(Message):
+        counted: list[int32] = []
+
+    class Feedback(Message):
+        so_far: list[int32] = []
+
+
 def goal(upto: int = 3) -> Count.Goal:
     return Count.Goal(upto=upto)
 

@@ -31,6 +31,7 @@ from ..lab import (
     TURNS,
     Count,
     Gate,
+    Other,
     count,
     feedback,
     goal,
@@ -197,24 +198,19 @@ async def test_a_handle_can_be_read_message_by_message():
             await anext(handle)
 
 
-async def test_leaving_the_block_cancels_the_goal_and_waits_for_its_end(where):
-    gate = Gate()
+@pytest.mark.parametrize("error", [None, ValueError("mine")])
+async def test_leaving_the_block_cancels_the_goal_and_waits_for_its_end(where, error):
+    gate, caught = Gate(), None
     async with where(gate.wait) as served:
-        async with served.client.send_goal(goal()) as handle:
-            await gate.started.wait()
-        assert (handle.status, gate.log) == (
-            GoalStatus.CANCELED,
-            ["begun", "canceled", "over"],
-        )
-
-
-async def test_leaving_the_block_with_an_exception_cancels_the_goal_and_lets_it_pass(where):
-    gate, mine = Gate(), ValueError("mine")
-    async with where(gate.wait) as served:
-        with pytest.raises(ValueError, match="mine") as caught:
+        try:
             async with served.client.send_goal(goal()) as handle:
-                raise mine
-        assert (caught.value, handle.status) == (mine, GoalStatus.CANCELED)
+                await gate.started.wait()
+                if error is not None:
+                    raise error
+        except ValueError as mine:
+            caught = mine
+        assert caught is error
+        assert (handle.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
 
 
 async def test_a_detached_goal_goes_on(where):
@@ -225,14 +221,6 @@ async def test_a_detached_goal_goes_on(where):
         assert handle.status is GoalStatus.EXECUTING
         gate.opened.set()
         assert await handle.result() == result(7)
-
-
-async def test_a_goal_that_cannot_be_sent_leaves_nothing_to_leave():
-    async with turtleact.open_node("lab") as node:
-        sending = node.action_client(Count, "count").send_goal(goal())
-        with pytest.raises(ServerUnavailable):
-            await sending.__aenter__()
-        await sending.__aexit__(None, None, None)
 
 
 async def test_a_goal_whose_result_has_expired_still_answers_its_handle():
@@ -246,15 +234,22 @@ async def test_a_goal_whose_result_has_expired_still_answers_its_handle():
 # --- finding a server -----------------------------------------------------------------------
 
 
-async def test_without_a_server_a_goal_cannot_be_sent():
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda client: client.send_goal(goal()),
+        lambda client: client.send_goal(goal()).__aenter__(),
+        lambda client: client.attach(bytes(range(16))),
+        lambda client: client.cancel_all(),
+        lambda client: client.cancel_before(turtleact.interfaces.standard.Time()),
+    ],
+)
+async def test_without_a_server_nothing_can_be_asked(ask):
     async with turtleact.open_node("lab") as node:
         client = node.action_client(Count, "count")
-        with pytest.raises(
-            ServerUnavailable, match=r"^action '/count': no server answers; this node"
-        ):
-            await client.send_goal(goal())
-        with pytest.raises(ServerUnavailable):
-            await client.send_goal(goal()).__aenter__()
+        with pytest.raises(ServerUnavailable, match=r"^action '/count': no server answers; this"):
+            await ask(client)
+        assert await client.wait_for_server(0) is False
 
 
 async def test_a_similar_action_is_suggested():
@@ -264,43 +259,20 @@ async def test_a_similar_action_is_suggested():
             await node.action_client(Count, "counts").send_goal(goal())
 
 
-async def test_a_client_that_waits_for_a_server_says_so_once(caplog, monkeypatch):
+async def test_a_server_that_comes_later_is_waited_for_which_is_said_once(caplog, monkeypatch):
     monkeypatch.setattr("turtleact.goals.client.SILENCE", 0.0)
-    async with turtleact.open_node("lab") as node:
-        client = node.action_client(Count, "count")
-        async with running(client.wait_for_server) as waiting:
-            await settle()
-            assert "still waiting for a server of action '/count'" in caplog.text
-            node.action_server(Count, "count", count)
-            await waiting.done.wait()
-        assert waiting.value
-    assert caplog.text.count("still waiting") == 1
-
-
-@pytest.mark.parametrize("ask", ["cancel_all", "cancel_before"])
-async def test_without_a_server_nothing_can_be_canceled(ask):
-    async with turtleact.open_node("lab") as node:
-        client = node.action_client(Count, "count")
-        arguments = [turtleact.interfaces.standard.Time()] if ask == "cancel_before" else []
-        with pytest.raises(ServerUnavailable):
-            await getattr(client, ask)(*arguments)
-
-
-async def test_a_server_that_does_not_come_is_not_waited_for_for_ever():
-    async with turtleact.open_node("lab") as node:
-        assert await node.action_client(Count, "count").wait_for_server(0) is False
-
-
-async def test_a_server_that_comes_later_is_waited_for():
     async with turtleact.open_node("lab") as node:
         client = node.action_client(Count, "count")
         async with running(client.wait_for_server) as waiter:
             node.action_server(Count, "other", count)
             await settle()
             assert not waiter.done.is_set()
+            assert "still waiting for a server of action '/count'" in caplog.text
             node.action_server(Count, "count", count)
+            await waiter.done.wait()
         assert waiter.value is True
         assert await client.send_goal(goal(1)) == result(0)
+    assert caplog.text.count("still waiting") == 1
 
 
 async def test_waiting_for_a_server_can_be_canceled():
@@ -313,16 +285,6 @@ async def test_waiting_for_a_server_can_be_canceled():
 
 
 async def test_a_server_of_another_type_is_no_server():
-    class Other(turtleact.Action, type_name="lab_interfaces/action/Other"):
-        class Goal(turtleact.Message):
-            pass
-
-        class Result(turtleact.Message):
-            pass
-
-        class Feedback(turtleact.Message):
-            pass
-
     async with lab(count) as served:
         client = served.node.action_client(Other, "count")
         assert await client.wait_for_server(0) is False

@@ -15,7 +15,6 @@ from turtleact.errors import (
     GoalAborted,
     GoalCanceled,
     InvalidName,
-    ServerUnavailable,
     UnknownGoal,
 )
 from turtleact.goals.client_handle import FeedbackReceived, Outcome, StatusChanged
@@ -291,12 +290,6 @@ async def test_a_goal_of_another_action_is_unknown():
         served.node.action_server(Count, "other", count)
         with pytest.raises(UnknownGoal):
             await served.node.action_client(Count, "other").attach(ID)
-
-
-async def test_without_a_server_there_is_no_goal_to_take_hold_of():
-    async with turtleact.open_node("lab") as node:
-        with pytest.raises(ServerUnavailable):
-            await node.action_client(Count, "count").attach(ID)
 
 
 async def test_what_is_no_goal_id_is_refused():

@@ -24,7 +24,7 @@ from turtleact.goals.client_handle import Outcome
 from turtleact.goals.remote import RemoteGoal
 from turtleact.goals.state import CancelCode
 from turtleact.goals.wire import GoalMetadata
-from turtleact.interfaces import Action, Message, implied, int32
+from turtleact.interfaces import implied
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
@@ -36,6 +36,7 @@ from ..lab import (
     Count,
     Gate,
     Lab,
+    Other,
     Running,
     apart,
     count,
@@ -457,19 +458,6 @@ async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
 
 
 # --- two under one name -------------------------------------------------------------------------
-
-
-class Other(Action, type_name="lab_interfaces/action/Other"):
-    """Another action, with the same fields."""
-
-    class Goal(Message):
-        upto: int32 = 0
-
-    class Result(Message):
-        counted: list[int32] = []
-
-    class Feedback(Message):
-        so_far: list[int32] = []
 
 
 @pytest.mark.parametrize("order", [(Count, Other), (Other, Count)])

@@ -33,9 +33,9 @@ from turtleact.goals.records import GoalRecord
 from turtleact.interfaces import Action, Message, int32
 from turtleact.journal import read_goals
 
-from ..lab import Count, Gate, feedback, goal, local_server, result, running, settle
+from ..lab import Count, Gate, Other, feedback, goal, local_server, result, running, settle
 
-ID, OTHER, THIRD = bytes(range(16)), bytes(range(1, 17)), bytes(range(2, 18))
+ID, OTHER = bytes(range(16)), bytes(range(1, 17))
 
 Handle = ServerGoalHandle[Count.Goal, Count.Result, Count.Feedback]
 
@@ -543,16 +543,6 @@ async def test_a_goal_of_another_type_is_aborted_and_not_decoded(path):
 
 
 async def test_goals_of_two_types_under_one_name_are_told_apart(path):
-    class Other(Action, type_name="lab_interfaces/action/Other"):
-        class Goal(Message):
-            pass
-
-        class Result(Message):
-            pass
-
-        class Feedback(Message):
-            pass
-
     async def other(request: Other.Goal) -> Other.Result:
         return Other.Result()
 
