@@ -122,7 +122,6 @@ class ClientGoalHandle(Generic[R, F]):
     __slots__ = (
         "_goal",
         "_guard",
-        "_hurried",
         "_is_detached",
         "_is_sender",
         "_iterations",
@@ -145,7 +144,6 @@ class ClientGoalHandle(Generic[R, F]):
         self._missed = 0
         self._next = 0 if is_sender else goal.log.dropped  # the index of the next unread message
         self._iterations = 0
-        self._hurried = 0
 
     @property
     def goal_id(self) -> bytes:
@@ -236,8 +234,7 @@ class ClientGoalHandle(Generic[R, F]):
                 self._next += 1
                 if self._is_sender and log.read is not None:
                     log.read = self._next
-                    if log.drained is not None:
-                        log.relieve()
+                    log.relieve()
                 return cast("F", items[at])
             if goal.ended:
                 if goal.error is not None:
@@ -262,7 +259,6 @@ class ClientGoalHandle(Generic[R, F]):
         self._iterations += 1
         if self._is_sender:
             self._goal.log.read = self._next
-            self._goal.log.hurried = self._hurried
 
     def _end_iteration(self, thread: int) -> None:
         """Record that an iterator, which was made in ``thread``, is gone. Any thread may call this.
@@ -328,8 +324,7 @@ class ClientGoalHandle(Generic[R, F]):
         If any caller waits, the goal's body does not wait for the sender to read the feedback.
         """
         if self._is_sender:
-            self._hurried += change
-            self._goal.log.hurried = self._hurried
+            self._goal.log.hurried += change
             self._goal.log.relieve()
 
     # requests
