@@ -248,9 +248,8 @@ class ClientEndpoints:
                     take_feedback(known, message.feedback)
 
         format = _FeedbackOfGoals(cast("type[Action]", self.action_type), goals)
-        endpoint = self._endpoint("subscription", names.feedback, f"{action}_FeedbackMessage", None)
-        opened = self.transport.subscribe(endpoint, format, deliver, on_gap=on_gap)
-        self._opened.append(opened)
+        type_name = f"{action}_FeedbackMessage"
+        self._subscribe(names.feedback, type_name, format, deliver, on_gap=on_gap)
         self.get_result = self._join(
             names.get_result,
             f"{action}_GetResult",
@@ -328,10 +327,11 @@ class ClientEndpoints:
         type_name: str,
         format: Format,
         deliver: Callable[[Any], None],
-        qos: QoS,
+        qos: QoS | None = None,
+        on_gap: Callable[[int], None] | None = None,
     ) -> None:
         endpoint = self._endpoint("subscription", name, type_name, qos)
-        self._opened.append(self.transport.subscribe(endpoint, format, deliver))
+        self._opened.append(self.transport.subscribe(endpoint, format, deliver, on_gap=on_gap))
 
 
 class _FeedbackOfGoals(FeedbackFormat, Generic[T]):

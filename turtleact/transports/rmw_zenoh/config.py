@@ -90,8 +90,8 @@ class SessionConfig(msgspec.Struct, frozen=True):
         text: A complete configuration in JSON5, to which ``settings`` and ``defaults`` are applied;
             empty to start from Zenoh's default configuration.
         settings: Settings that replace those of ``text``: a mapping from paths to values in JSON.
-        defaults: Settings that apply only where ``text`` sets no value: a mapping from paths to
-            values in JSON.
+        defaults: Settings that apply only where the configuration of ``text`` has no value: a
+            mapping from paths to values in JSON.
         connect: The endpoints to connect to. Only error messages use this attribute. Endpoints that
             are given only in ``text`` are left out.
         listen: The endpoints to listen on. Only error messages use this attribute. Endpoints that

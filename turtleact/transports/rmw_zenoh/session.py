@@ -106,7 +106,7 @@ class Session:
             for path, value in config.settings.items():
                 settings.insert_json5(path, value)
             for path, value in config.defaults.items():
-                if settings.get_json(path) in ("null", _UNTOUCHED.get(path)):
+                if settings.get_json(path) == "null":
                     settings.insert_json5(path, value)
         except zenoh.ZError as error:
             raise InvalidOption("config", f"Zenoh says: {words(str(error))}") from error
@@ -526,13 +526,6 @@ def _mapped(what: str) -> Iterator[None]:
 
 def _error(what: str, error: zenoh.ZError) -> TurtleactError:
     return TurtleactError(f"Zenoh cannot {what}: {words(str(error))}")
-
-
-#: Zenoh's own configuration, where it is not null.
-_UNTOUCHED = {
-    "transport/unicast/open_timeout": "10000",
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": "5000000",
-}
 
 
 def census(
