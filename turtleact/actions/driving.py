@@ -42,7 +42,7 @@ from turtleact.names import resolve_name, validate_name
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from turtleact.actions.steering import Speeds, Style
+    from turtleact.actions.steering import Speeds
     from turtleact.interfaces import Message
     from turtleact.node import Node, ServerGoalHandle
     from turtleact.node.topics import Publisher, Subscription
@@ -398,36 +398,33 @@ class Turtles:
         self._driven: set[str] = set()
         self._drives: dict[bytes, Drive] = {}
 
-    def steering(
-        self,
-        *,
-        style: str,
-        max_linear: float,
-        max_angular: float,
-        tolerance: float,
-        heading_tolerance: float = Limits().heading_tolerance,
-    ) -> Steering:
+    def steering(self, goal: Any, heading_tolerance: float = 0.0) -> Steering:  # noqa: ANN401  # of any action that drives
         """Return the steering law for these turtles with the options of a goal.
+
+        Args:
+            goal: The goal message.
+            heading_tolerance: How far the turtle's heading may be from the wanted heading (rad); 0
+                for the default.
 
         Raises:
             Reject: if the style does not exist, or a number is out of its range.
         """
         robot = self._robot
-        if max_angular > robot.fastest:
+        if goal.max_angular > robot.fastest:
             most = f"{robot.fastest:.4g} rad/s at most"
-            raise Reject(f"max_angular: must be {most}, not {max_angular}")
+            raise Reject(f"max_angular: must be {most}, not {goal.max_angular}")
         try:
             limits = Limits(
-                max_linear=max_linear,
-                max_angular=max_angular,
+                max_linear=goal.max_linear,
+                max_angular=goal.max_angular,
                 max_acceleration=robot.max_acceleration,
                 max_angular_acceleration=robot.max_angular_acceleration,
-                tolerance=tolerance,
-                heading_tolerance=heading_tolerance,
+                tolerance=goal.tolerance,
+                heading_tolerance=heading_tolerance or Limits().heading_tolerance,
                 dt=robot.dt,
                 area=self._area,
             )
-            return Steering(cast("Style", style), limits)
+            return Steering(goal.style, limits)
         except InvalidMessage as error:
             raise Reject(str(error)) from None
 

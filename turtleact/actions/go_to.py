@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, ClassVar, Unpack
 
-from turtleact.actions.steering import Limits
 from turtleact.errors import Reject
 from turtleact.goals.body import ServerOptions
 from turtleact.goals.state import GoalResponse
@@ -14,7 +13,6 @@ from turtleact.interfaces.standard import Point, TurtlePose
 
 if TYPE_CHECKING:
     from turtleact.actions.driving import Turtles
-    from turtleact.actions.steering import Steering
     from turtleact.node import Node, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
 
@@ -113,7 +111,7 @@ class _GoTo:
         self._turtles = turtles
 
     def check(self, goal: GoTo.Goal) -> GoalResponse:
-        self._steering(goal)
+        self._turtles.steering(goal, goal.heading_tolerance)
         if not math.isfinite(goal.theta):
             raise Reject(f"theta is {goal.theta}: it is an angle in rad")
         self._turtles.check_turtle(goal.turtle)
@@ -128,7 +126,8 @@ class _GoTo:
         started = handle.node.clock.time() - before.duration
         target = Point(x=goal.x, y=goal.y)
         theta = goal.theta if goal.heading_tolerance else None
-        async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
+        steering = self._turtles.steering(goal, goal.heading_tolerance)
+        async with self._turtles.drive(goal.turtle, steering, handle) as drive:
             deadline, due = drive.deadline(target, theta=theta), drive.time()
             result, has_told = GoTo.Result(), False
 
@@ -156,15 +155,6 @@ class _GoTo:
             finally:
                 note()  # a canceled or aborted goal has a result, too
         return result
-
-    def _steering(self, goal: GoTo.Goal) -> Steering:
-        return self._turtles.steering(
-            style=goal.style,
-            max_linear=goal.max_linear,
-            max_angular=goal.max_angular,
-            tolerance=goal.tolerance,
-            heading_tolerance=goal.heading_tolerance or Limits().heading_tolerance,
-        )
 
 
 def _missed(goal: GoTo.Goal, *, is_there: bool) -> str:

@@ -20,7 +20,6 @@ from turtleact.interfaces.standard import PatrolCommandInterface, Point, TurtleP
 
 if TYPE_CHECKING:
     from turtleact.actions.driving import Drive, Turtles
-    from turtleact.actions.steering import Steering
     from turtleact.node import Node, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
 
@@ -141,7 +140,7 @@ class _Patrol:
 
     def check(self, goal: Patrol.Goal) -> GoalResponse:
         """Accept a goal of ``/patrol``, or raise Reject."""
-        self._steering(goal)
+        self._turtles.steering(goal)
         if goal.loops < 0:
             raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
         self._turtles.check_turtle(goal.turtle)
@@ -205,7 +204,8 @@ class _Patrol:
         """
         started, before = handle.node.clock.time() - result.duration, result.distance
         first = result.reached + len(result.missed)
-        async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
+        steering = self._turtles.steering(goal)
+        async with self._turtles.drive(goal.turtle, steering, handle) as drive:
             tour = _Tour(goal, drive, result, tell)
 
             def record() -> None:
@@ -228,14 +228,6 @@ class _Patrol:
             finally:
                 record()  # a canceled or aborted patrol has a result, too
         return result
-
-    def _steering(self, goal: Patrol.Goal) -> Steering:
-        return self._turtles.steering(
-            style=goal.style,
-            max_linear=goal.max_linear,
-            max_angular=goal.max_angular,
-            tolerance=goal.tolerance,
-        )
 
 
 class _Tour:

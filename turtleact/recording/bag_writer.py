@@ -86,35 +86,33 @@ class BagWriter:
         path: The folder to create, or the single file if the path ends in ``.mcap``.
         split: When to begin another file, and how to compress files.
 
+    Attributes:
+        waiting: How many messages were passed to `write` but are not on disk. Any thread may read
+            this attribute.
+
     Raises:
         BagError: if the folder or file exists already or cannot be created, or if ``split`` has a
             limit although the bag is a single file.
     """
 
+    _first: int | None  # the time of the current file's first message
+
     def __init__(self, path: Path, split: Split) -> None:
         self.path = path
+        self.waiting = 0
         self._split = split
         self._is_single = path.suffix == ".mcap"
         if self._is_single and (split.max_size or split.max_duration):
             raise BagError(path, "a single file cannot be split; name a folder instead")
         self._channels: dict[int, Channel] = {}
-        self._numbers: dict[int, int] = {}  # channels as the current file numbers them
         self._head = embedded(BagInfo(distro=DISTRO))
-        self._closed = 0  # how many files of the folder are written
-        self._file = self._create()
-
-    @property
-    def waiting(self) -> int:
-        """How many messages were passed to `write` but are not on disk.
-
-        Any thread may read this property.
-        """
-        return self._file.waiting
+        self._number = 0  # of the current file
+        self._create()
 
     def add(self, number: int, channel: Channel) -> None:
         """Add a topic under a number that the caller chooses."""
         self._channels[number] = channel
-        self._numbers[number] = self._file.add_channel(channel)
+        self._register(number)
 
     def write(self, number: int, stamp: int, sent: int, data: bytes) -> None:
         """Add a message to the current chunk. The chunk is written to disk when it is full.
@@ -123,8 +121,16 @@ class BagWriter:
             OSError: if the disk is full or gone.
         """
         if self._is_time_to_split(stamp):
-            self._begin_another()
-        self._file.add(self._numbers[number], stamp, sent, data)
+            self._finish(self._head)
+            self._number += 1
+            self._begin()
+        if self._first is None:
+            self._first = stamp
+        self._writer.add_message(self._numbers[number], stamp, data, sent)
+        self.waiting += 1
+        self._chunk_size += OVERHEAD + len(data)
+        if self._chunk_size >= CHUNK:
+            self.flush()
 
     def flush(self) -> None:
         """Write all messages added so far to disk, so that they survive if the process is killed.
@@ -132,7 +138,15 @@ class BagWriter:
         Raises:
             OSError: if the disk is full or gone.
         """
-        self._file.flush()
+        if self._file.closed:
+            return
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]  # mcap leaves it out
+        except OSError:
+            self._file.close()  # so that mcap cannot write the rest of the chunk later
+            raise
+        self._written = self._file.tell()
+        self._chunk_size = self.waiting = 0
 
     def close(self, lost: Mapping[str, int]) -> None:
         """Close the last file and, if the bag is a folder, write ``metadata.yaml``.
@@ -146,20 +160,20 @@ class BagWriter:
             OSError: if something could not be written, or the folder was deleted.
         """
         custom = {f"lost:{topic}": str(count) for topic, count in lost.items()}
-        is_whole = self._file.close(embedded(BagInfo(distro=DISTRO, custom=custom)))
+        is_whole = self._finish(embedded(BagInfo(distro=DISTRO, custom=custom)))
         if is_whole and not self._is_single:
             self._describe()
 
     # files
 
-    def _create(self) -> _McapFile:
+    def _create(self) -> None:
         path = self.path
         is_made = False
         try:
             if not self._is_single:
                 path.mkdir(parents=True)
                 is_made = True
-            return self._begin()
+            self._begin()
         except OSError as error:
             if is_made:  # an empty folder would only be in the way
                 with suppress(OSError):
@@ -169,28 +183,63 @@ class BagWriter:
                 raise BagError(path, problem) from None
             raise BagError(path, f"it cannot be created: {error.strerror}") from error
 
-    def _begin(self) -> _McapFile:
+    def _begin(self) -> None:
+        """Begin a file with all topics of the bag."""
         path = self.path
         if not self._is_single:
-            path = path / f"{path.name}_{self._closed}.mcap"
-        return _McapFile(path, self._split.compression, self._head)
+            path = path / f"{path.name}_{self._number}.mcap"
+        self._file: FileIO = path.open("xb", buffering=0)
+        # `flush` alone ends a chunk, so that it knows which messages are on disk.
+        kind = CompressionType.NONE if self._split.compression == "none" else CompressionType.ZSTD
+        self._writer = Writer(self._file, chunk_size=sys.maxsize, compression=kind)
+        self._first = None
+        self._schemas: dict[Schema, int] = {}
+        self._numbers: dict[int, int] = {}  # the topics as this file numbers them
+        try:
+            self._writer.start("ros2", "turtleact")
+            self._writer.add_metadata(ABOUT, {"serialized_metadata": self._head})
+            self.flush()
+        except OSError:  # an empty file would make the folder's other files unreadable
+            path.unlink()
+            raise
+        for number in self._channels:
+            self._register(number)
 
-    def _begin_another(self) -> None:
-        """Close the current file and begin another."""
-        self._file.close(self._head)
-        self._closed += 1
-        self._file = self._begin()
-        for number, channel in self._channels.items():
-            self._numbers[number] = self._file.add_channel(channel)
+    def _register(self, number: int) -> None:
+        channel = self._channels[number]
+        schema = channel.schema
+        if schema not in self._schemas:
+            self._schemas[schema] = self._writer.register_schema(
+                schema.name, schema.encoding, schema.text.encode()
+            )
+        about = {
+            "offered_qos_profiles": offers_text(channel.offers),
+            "topic_type_hash": channel.type_hash,
+        }
+        self._numbers[number] = self._writer.register_channel(
+            channel.topic, "cdr", self._schemas[schema], about
+        )
 
     def _is_time_to_split(self, stamp: int) -> bool:
-        split, file = self._split, self._file
-        if not file.count:
+        split = self._split
+        if self._first is None:
             return False
-        return bool(
-            (split.max_size and file.size >= split.max_size)
-            or (split.max_duration and stamp - file.first >= split.max_duration)
-        )
+        is_large = split.max_size and self._written + self._chunk_size >= split.max_size
+        return bool(is_large or (split.max_duration and stamp - self._first >= split.max_duration))
+
+    def _finish(self, about: str) -> bool:
+        """Write the description of the bag and the index, and close the file.
+
+        Return False if an earlier write has failed; the file stays as it is.
+        """
+        self.flush()
+        if self._file.closed:
+            return False
+        with self._file:
+            self._writer.add_metadata(ABOUT, {"serialized_metadata": about})
+            self._writer.finish()  # type: ignore[no-untyped-call]  # as above
+            self._writer.flush()  # type: ignore[no-untyped-call]  # as above
+        return True
 
     def _describe(self) -> None:
         """Write ``metadata.yaml``, completely or not at all, from what the files say."""
@@ -259,89 +308,6 @@ def convert(
             writer.discard()
         raise
     return [writer.count for writer in writers]
-
-
-class _McapFile:
-    """An MCAP file that is being written.
-
-    After an OSError, nothing more is written to it.
-
-    Attributes:
-        first: The time of the message that was added first (ns since 1970).
-        count: How many messages were added.
-        waiting: How many of them wait in the current chunk.
-    """
-
-    def __init__(self, path: Path, compression: Compression, about: str) -> None:
-        self.first = self.count = self.waiting = 0
-        self._file: FileIO = path.open("xb", buffering=0)
-        # `flush` alone ends a chunk, so that it knows which messages are on disk.
-        kind = CompressionType.NONE if compression == "none" else CompressionType.ZSTD
-        self._writer = Writer(self._file, chunk_size=sys.maxsize, compression=kind)
-        self._schemas: dict[Schema, int] = {}
-        self._written = self._chunk_size = 0
-        try:
-            self._writer.start("ros2", "turtleact")
-            self._writer.add_metadata(ABOUT, {"serialized_metadata": about})
-            self.flush()
-        except OSError:  # an empty file would make the folder's other files unreadable
-            path.unlink()
-            raise
-
-    @property
-    def size(self) -> int:
-        """The size of the file (bytes) if the current chunk were written without compression."""
-        return self._written + self._chunk_size
-
-    def add_channel(self, channel: Channel) -> int:
-        """Add a topic and return its number in the file."""
-        about = {
-            "offered_qos_profiles": offers_text(channel.offers),
-            "topic_type_hash": channel.type_hash,
-        }
-        schema = channel.schema
-        if schema not in self._schemas:
-            self._schemas[schema] = self._writer.register_schema(
-                schema.name, schema.encoding, schema.text.encode()
-            )
-        return self._writer.register_channel(channel.topic, "cdr", self._schemas[schema], about)
-
-    def add(self, channel: int, stamp: int, sent: int, data: bytes) -> None:
-        """Add a message, and write the chunk if it is full."""
-        if not self.count:
-            self.first = stamp
-        self._writer.add_message(channel, stamp, data, sent)
-        self.count += 1
-        self.waiting += 1
-        self._chunk_size += OVERHEAD + len(data)
-        if self._chunk_size >= CHUNK:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write the current chunk to the file."""
-        if self._file.closed:
-            return
-        try:
-            self._writer.flush()  # type: ignore[no-untyped-call]  # mcap leaves it out
-        except OSError:
-            self._file.close()  # so that mcap cannot write the rest of the chunk later
-            raise
-        self._written = self._file.tell()
-        self._chunk_size = self.waiting = 0
-
-    def close(self, about: str) -> bool:
-        """Write the description of the bag and the index, and close the file.
-
-        Return False if an earlier write has failed; the file stays as it is.
-        """
-        self.flush()
-        if self._file.closed:
-            return False
-        with self._file:
-            self._writer.add_metadata(ABOUT, {"serialized_metadata": about})
-            self._writer.finish()  # type: ignore[no-untyped-call]  # as above
-            self._writer.flush()  # type: ignore[no-untyped-call]  # as above
-        return True
 
 
 def _range(outputs: Sequence[Output]) -> Range:
