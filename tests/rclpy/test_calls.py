@@ -14,11 +14,10 @@ from turtleact.interfaces import get_service
 from turtleact.interfaces.standard import ExampleFibonacci
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer
-from turtleact.rclpy.context import Context
+from turtleact.rclpy.context import PROCESS, Context
 from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
-from turtleact.rclpy.impl.process import PROCESS
 from turtleact.rclpy.messages import hash_of, interface_class
 
 from ..lab import free_endpoint

@@ -9,8 +9,8 @@ import anyio
 import pytest
 
 from turtleact.errors import TurtleactError
+from turtleact.rclpy import context as opening
 from turtleact.rclpy.face import SETTINGS, JoinOptions
-from turtleact.rclpy.impl import process as opening
 from turtleact.transports import MemoryTransport
 
 pytestmark = pytest.mark.loops("asyncio")

@@ -1,4 +1,7 @@
-"""Contexts, which ``init`` starts and ``shutdown`` ends, the default context, and signals.
+"""Contexts, which ``init`` starts and ``shutdown`` ends, the graphs that they join, and signals.
+
+A graph is joined when the first node needs it, and left when the last context that uses it is shut
+down. The event loop keeps running for the next ``init``.
 
 SIGINT and SIGTERM shut every context down. Python may call a signal handler anywhere in the
 program, even while the program holds a lock. The handler therefore only wakes a thread, which shuts
@@ -8,35 +11,45 @@ handler is usually Python's own handler, which raises KeyboardInterrupt.
 
 from __future__ import annotations
 
-import contextlib
+import atexit
 import os
 import queue
 import signal
 import sys
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
 from enum import IntFlag
+from functools import partial
 from inspect import ismethod
 from types import FrameType
 from typing import Self, TypeAlias
 
+import anyio
+
+from turtleact.errors import TurtleactError
 from turtleact.rclpy.exceptions import NotInitializedException
+from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.impl.arguments import Arguments, parse_arguments, split_arguments
-from turtleact.rclpy.impl.connection import Connection
-from turtleact.rclpy.impl.entity import Block, Handle
-from turtleact.rclpy.impl.process import PROCESS
+from turtleact.rclpy.impl.connection import Connection, EventLoop, OpenTransport
+from turtleact.rclpy.impl.entity import Block, BusyThreads, Handle
 from turtleact.rclpy.impl.typing import Anything
+from turtleact.tasks.clock import Clock
+from turtleact.transports import MemoryTransport, Transport, open_zenoh
 from turtleact.transports.rmw_zenoh.config import domain_of
 
 __all__ = [
+    "PROCESS",
     "Context",
+    "Process",
     "SignalHandlerOptions",
     "get_current_signal_handlers_options",
     "get_default_context",
     "get_rmw_implementation_identifier",
     "install_signal_handlers",
     "ok",
+    "open_chosen",
     "remove_ros_args",
     "shutdown",
     "try_shutdown",
@@ -45,6 +58,133 @@ __all__ = [
 
 RMW = "rmw_zenoh_cpp"
 """The middleware with the protocol that turtleact speaks."""
+
+ATTEMPTS = 20
+"""How many times to try to open the graph.
+
+An attempt fails if another program becomes the router at the same time.
+"""
+
+PAUSE = 0.05
+"""How long to wait between two attempts to open the graph (s)."""
+
+LISTEN = ("tcp/127.0.0.1:7447",)
+"""Where the nodes of a machine look for a router."""
+
+
+@asynccontextmanager
+async def open_chosen(domain: int) -> AsyncIterator[Transport]:
+    """Open the graph that was chosen for this process.
+
+    An embedded world opens its own connection to the graph, like ``turtleact serve``. Other
+    programs and commands can therefore also see the world.
+
+    Raises:
+        TurtleactError: if the graph cannot be opened.
+    """
+    place = SETTINGS.place
+    async with AsyncExitStack() as stack:
+        if place.is_embedded:
+            from turtleact.sim.world_node import open_world
+
+            world = open_world(graph=partial(_open, place, domain))
+            await stack.enter_async_context(world)
+        yield await stack.enter_async_context(_open(place, domain))
+
+
+@asynccontextmanager
+async def _open(
+    place: JoinOptions, domain: int, clock: Clock | None = None
+) -> AsyncIterator[Transport]:
+    if place.is_alone:
+        yield MemoryTransport(clock)
+        return
+    peer = partial(open_zenoh, domain=domain, config=place.config, clock=clock)
+    async with AsyncExitStack() as stack:
+        if place.connect:
+            yield await stack.enter_async_context(peer(place.connect))
+        else:
+            yield await _join_or_lead(stack, peer)
+
+
+async def _join_or_lead(
+    stack: AsyncExitStack, peer: Callable[..., AbstractAsyncContextManager[Transport]]
+) -> Transport:
+    """Connect to the router of this machine, or become the router if there is none."""
+    router = partial(peer, mode="router", listen=LISTEN)
+    for _ in range(ATTEMPTS - 1):
+        for opening in (peer, router):
+            with suppress(TurtleactError):
+                return await stack.enter_async_context(opening())
+        await anyio.sleep(PAUSE)
+    return await stack.enter_async_context(router())
+
+
+PATIENCE = 2.5
+"""How long to delay the end of the process while other threads shut contexts down (s)."""
+
+
+class Process:
+    """Holds the event loop, the joined graphs and the contexts of this process.
+
+    Attributes:
+        loop: The event loop.
+        contexts: All contexts that are initialised and not shut down.
+        open_transport: A function that opens the graph of a ROS domain.
+        ending: The threads that shut contexts down.
+    """
+
+    def __init__(self) -> None:
+        self.loop = EventLoop()
+        self.contexts: weakref.WeakSet[Anything] = weakref.WeakSet()
+        self.open_transport: OpenTransport = open_chosen
+        self.ending = BusyThreads()
+        self._lock = threading.Lock()
+        self._is_registered = False
+        self._connections: dict[int, tuple[Connection, set[int]]] = {}
+
+    def join(self, domain: int, user: object) -> Connection:
+        """Return the connection to the graph of a domain; open the connection on the first call.
+
+        Raises:
+            TurtleactError: if the graph cannot be opened.
+        """
+        with self._lock:
+            if not self._is_registered:
+                # Most programs end without a call of `shutdown`.
+                self._is_registered = True
+                atexit.register(self.shut_down)
+            if domain not in self._connections:
+                connection = Connection(self.loop, self.open_transport, domain)
+                self._connections[domain] = connection, set()
+            connection, users = self._connections[domain]
+            users.add(id(user))
+            return connection
+
+    def shut_down(self) -> None:
+        """Shut all contexts down, and wait for those that other threads are shutting down.
+
+        After a signal, a thread shuts the contexts down while the main thread ends the program. If
+        the interpreter ended before the process left the graph, a thread of Zenoh could call
+        into the interpreter, and the C library would abort the process.
+        """
+        for context in list(self.contexts):
+            context.try_shutdown()
+        self.ending.wait_for_others(PATIENCE)
+
+    def leave(self, domain: int, user: object) -> None:
+        """Leave the graph of a domain that ``user`` may have joined, unless it has other users."""
+        with self._lock:
+            connection, users = self._connections.get(domain, (None, set()))
+            users.discard(id(user))
+            if connection is None or users:
+                return
+            del self._connections[domain]
+        connection.close()
+
+
+#: The only one. It is global because rclpy's API is: ``rclpy.init()`` names no process.
+PROCESS = Process()
 
 
 class Context(Block):
@@ -178,7 +318,7 @@ class Context(Block):
         # program may use the context in any way, and a node that is being destroyed does.
         PROCESS.contexts.discard(self)
         for node in nodes:
-            with contextlib.suppress(Exception):
+            with suppress(Exception):
                 node.destroy_node()
         for held in callbacks:
             callback = held()
@@ -187,7 +327,7 @@ class Context(Block):
         if self.handle is not None:
             self.handle.destroy_when_not_in_use()
         self._connection = None
-        PROCESS.leave(self)
+        PROCESS.leave(self.get_domain_id(), self)
         return True
 
     def __enter__(self) -> Self:

@@ -111,10 +111,10 @@ def end_threads() -> list[str]:
     threads before it ends the process. If there are such threads, the caller must therefore end the
     process itself, for example with `leave`.
     """
-    process = sys.modules.get("turtleact.rclpy.impl.process")
-    if process is None:
+    context = sys.modules.get("turtleact.rclpy.context")
+    if context is None:
         return []
-    process.PROCESS.shut_down()
+    context.PROCESS.shut_down()
     due = time.monotonic() + ENDING
     own = threading.current_thread()
     others = [each for each in threading.enumerate() if each is not own and not each.daemon]

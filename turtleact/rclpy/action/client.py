@@ -207,7 +207,7 @@ class ActionClient(Introspected, Waitable, QueueEntity):
         if not isinstance(goal, self._action_type.Goal):
             raise TypeError(f"expected a goal of the action, not {type(goal)}")
         if goal_uuid is None:
-            made: Anything = interface_class("unique_identifier_msgs/msg/UUID")
+            made = interface_class("unique_identifier_msgs/msg/UUID")
             goal_uuid = made(uuid=list(uuid.uuid4().bytes))
         request = self._kind.service("send_goal").Request(goal_id=goal_uuid, goal=goal)
         data = encode(request, type(request))
@@ -227,7 +227,7 @@ class ActionClient(Introspected, Waitable, QueueEntity):
         _check_handle(goal_handle)
         info = self._kind.goal_info(goal_handle.goal_id)
         request = self._kind.service("cancel_goal").Request(goal_info=info)
-        return self._call("cancel_goal", encode(request, type(request)), _itself)
+        return self._call("cancel_goal", encode(request, type(request)), lambda answer: answer)
 
     def get_result_async(self, goal_handle: ClientGoalHandle) -> Future:
         """Return the future of a goal's result, a message with ``status`` and ``result``.
@@ -378,7 +378,3 @@ class ActionClient(Introspected, Waitable, QueueEntity):
 def _check_handle(goal_handle: object) -> None:
     if not isinstance(goal_handle, ClientGoalHandle):
         raise TypeError(f"Expected type ClientGoalHandle but received {type(goal_handle)}")
-
-
-def _itself(response: Anything) -> Anything:
-    return response
