@@ -210,7 +210,7 @@ class Callbacks:
         tasks = self._server.tasks
         with anyio.CancelScope() as scope:
             self._open.add(scope)
-            if self._is_closed:
+            if self._is_closed:  # for example a cancel request, which a closing server still takes
                 scope.cancel()
             try:
                 return await given
@@ -263,6 +263,8 @@ class PlaceRequest:
 
     def start(self) -> None:
         """Start the goal when its turn has come, unless the goal has ended meanwhile."""
+        # The slot has given the place in the loop's turn before this one. A cancel, an eviction or
+        # the end of the server may have come in between; each of them decides the goal's end.
         if self.goal.body is self and not self.goal.is_ending:
             self.goal.body = None
             self._server.start(self.goal, self.context)

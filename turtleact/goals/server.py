@@ -467,6 +467,8 @@ class LocalActionServer:
         The goal ends CANCELED if a client has canceled the goal, otherwise ABORTED.
         """
         is_canceled = goal.status is _CANCELING
+        # A goal that waited for its place has not been EXECUTING, and ROS 2 has no way from
+        # ACCEPTED to ABORTED.
         if goal.status is _ACCEPTED:
             self.move(goal, GoalEvent.EXECUTE)
         if is_canceled:

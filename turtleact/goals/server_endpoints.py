@@ -209,6 +209,7 @@ class ActionEndpoints:
 
     async def _answer_goal(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         """Accept or reject a goal."""
+        # A client that sends a goal also reads feedback, even if its subscription is not known yet.
         if not self._has_senders:
             self._has_senders = True
             self._feedback.expect_readers()
@@ -226,6 +227,7 @@ class ActionEndpoints:
     async def _answer_cancel(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
         """Cancel goals of all servers in this process that serve an action of this name."""
         goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
+        # A node may serve several types under one name, and a cancel request names no type.
         handlers = self._transport.all_local(self._names.cancel_goal, CancelGoal.type_name)
         servers = [each.server for each in handlers if isinstance(each, _ActionService)]
         return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
