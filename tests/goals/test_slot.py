@@ -244,10 +244,10 @@ class Comparison(RuleBasedStateMachine):
                 self.running.append(Family([wish]))
         elif expected is WAIT:
             if self.slot.rules.policy == "preempt":
-                assert entry.displaced is next(iter(self.waiting), None)
+                families = [each for each in self.active if not self.ancestors(each)]
+                assert list(entry.evicted) == self.waiting + families
                 self.over += self.waiting
                 self.waiting = []
-                assert list(entry.evicted) == [w for w in self.active if not self.ancestors(w)]
             self.waiting.append(wish)
 
     @precondition(lambda self: self.active or self.waiting)

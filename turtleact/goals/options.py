@@ -309,9 +309,8 @@ class SlotUser:
         self.server.show(goal)
         if goal.is_ending:  # an observer has cancelled it
             return
-        for each in (verdict.displaced, *verdict.evicted):
-            if each is not None:
-                each.evict(verdict.reason)
+        for each in verdict.evicted:
+            each.evict(verdict.reason)
 
     def retire(self, goal: Goal) -> None:
         """Let a goal go, and start the goal that gets its place."""

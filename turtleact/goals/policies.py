@@ -121,14 +121,12 @@ class Verdict(msgspec.Struct, Generic[C], frozen=True):
     Attributes:
         decision: Whether the goal starts, waits or is rejected.
         reason: Why the new goal is rejected, or why other goals must end.
-        displaced: The waiting goal that the new goal replaces. The server must end the replaced
-            goal now.
-        evicted: The running goals that the server must cancel now.
+        evicted: The goals that must make way: first the waiting goal that the new goal replaces,
+            then the running goals.
     """
 
     decision: Decision
     reason: str = ""
-    displaced: C | None = None
     evicted: tuple[C, ...] = ()
 
 
@@ -219,13 +217,13 @@ class Slot(Generic[C]):
         self._places[request.goal] = place
 
     def _preempt(self, request: C) -> Verdict[C]:
-        displaced = next(iter(self._waiting.values()), None)
+        displaced = tuple(self._waiting.values())
         self._waiting = {request.goal: request}
         return self._make_way(request, displaced)
 
-    def _make_way(self, request: C, displaced: C | None = None) -> Verdict[C]:
+    def _make_way(self, request: C, displaced: tuple[C, ...] = ()) -> Verdict[C]:
         reason = f"preempted by {request.label}"
-        return Verdict(Decision.WAIT, reason, displaced, self._families())
+        return Verdict(Decision.WAIT, reason, displaced + self._families())
 
     def _families(self) -> tuple[C, ...]:
         """Return the running goals that have no parent in this slot.
