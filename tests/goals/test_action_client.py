@@ -106,13 +106,6 @@ async def test_a_goal_is_sent_once(first, second):
             await second(sending)
 
 
-@ON_ASYNCIO
-async def test_goals_can_be_gathered():
-    async with lab(count) as served:
-        goals = [served.client.send_goal(goal(number)) for number in range(3)]
-        assert await asyncio.gather(*goals) == [result(), result(0), result(0, 1)]
-
-
 @pytest.mark.parametrize(
     ("end", "status"),
     [(Cancel(result(5)), GoalStatus.CANCELED), (result(5), GoalStatus.SUCCEEDED)],

@@ -86,14 +86,6 @@ async def test_observers_hear_of_feedback_that_cannot_be_sent():
         assert losses.heard == [FeedbackLost(1), FeedbackLost(1)]
 
 
-class States(GoalObserver):
-    def __init__(self) -> None:
-        self.heard: list[GoalStatus] = []
-
-    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        self.heard.append(after)
-
-
 def check(source: StatusTopic, *expected: GoalStatus) -> None:
     """Both forms say the same, and this."""
     encode = WireFormat(GoalStatusArray).encode

@@ -497,25 +497,6 @@ async def test_the_cancel_callback_may_refuse_who_does_not_wait(where, waits):
         assert await handle.result() == result(7)
 
 
-async def test_a_goal_that_ends_while_the_cancel_callback_is_asked_has_succeeded():
-    gate, asked = Gate(), anyio.Event()
-
-    async def ask(handle):
-        await asked.wait()
-        return CancelResponse.ACCEPT
-
-    async with (
-        lab(gate.wait, cancel_callback=ask) as served,
-        served.client.send_goal(goal(7)) as handle,
-    ):
-        handle.cancel_nowait()
-        gate.opened.set()
-        await handle.result()
-        asked.set()
-        await settle()
-        assert handle.status is GoalStatus.SUCCEEDED
-
-
 async def test_the_cancel_callback_is_asked_once_at_a_time():
     asked = []
 
@@ -532,25 +513,6 @@ async def test_the_cancel_callback_is_asked_once_at_a_time():
         await settle()
         assert asked == [ID]
         handle.detach()
-
-
-async def test_a_cancel_callback_that_nobody_waits_for_ends_with_the_server():
-    ended = []
-
-    async def ask(handle):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            ended.append(True)
-
-    async with (
-        lab(Gate().wait, cancel_callback=ask) as served,
-        served.client.send_goal(goal()) as handle,
-    ):
-        handle.cancel_nowait()
-        await settle()
-        handle.detach()
-    assert ended == [True]
 
 
 async def test_canceling_without_waiting_after_the_end_asks_nobody_and_changes_nothing():

@@ -9,7 +9,7 @@ import anyio.lowlevel
 import pytest
 
 from turtleact import GoalStatus
-from turtleact.errors import GoalRejected, ServerUnavailable, ServiceTimeout, UnknownGoal
+from turtleact.errors import ServerUnavailable, ServiceTimeout, UnknownGoal
 from turtleact.goals.observers import Observers
 from turtleact.goals.remote import RemoteActionServer
 from turtleact.goals.state import Goal, GoalRequest
@@ -90,12 +90,6 @@ async def follow(server: Any) -> tuple[RemoteActionServer, Goal]:
     return remote, await remote.send(GoalRequest(goal(), None))
 
 
-async def test_a_goal_ends_with_the_reply_to_the_second_request():
-    _, sent = await follow(Server(ACCEPTED, SUCCEEDED))
-    await settle()
-    assert (sent.status, sent.result) == (GoalStatus.SUCCEEDED, result(7))
-
-
 @pytest.mark.parametrize("is_ours", [False, True])
 async def test_gaps_in_the_feedback_of_a_server_of_ros_are_told_once_a_goal(caplog, is_ours):
     server = Server(ACCEPTED, SUCCEEDED if is_ours else FOREIGN)
@@ -132,19 +126,6 @@ async def test_only_a_goal_not_accepted_yet_may_have_been_dropped(is_accepted, m
     assert isinstance(sent.error, ServerUnavailable)
     assert sent.error.problem == UNCLEAR.problem
     assert sent.error.otherwise == ("" if is_accepted else "dropped it")
-
-
-async def test_the_goals_of_a_client_that_is_closed_are_lost():
-    remote, sent = await follow(Server())
-    await remote.aclose()
-    assert str(sent.error) == "action '/count': the client was closed"
-
-
-async def test_a_rejected_goal_has_the_reason():
-    _, sent = await follow(Server(REJECTED))
-    await settle()
-    assert isinstance(sent.error, GoalRejected)
-    assert sent.error.reason == "no"
 
 
 @pytest.mark.parametrize(

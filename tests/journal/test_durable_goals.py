@@ -33,7 +33,18 @@ from turtleact.goals.records import GoalRecord
 from turtleact.interfaces import Action, Message, int32
 from turtleact.journal import read_goals
 
-from ..lab import Count, Gate, Other, feedback, goal, local_server, result, running, settle
+from ..lab import (
+    Count,
+    Gate,
+    Other,
+    feedback,
+    goal,
+    local_server,
+    once_canceled,
+    result,
+    running,
+    settle,
+)
 
 ID, OTHER = bytes(range(16)), bytes(range(1, 17))
 
@@ -319,14 +330,15 @@ async def test_a_body_that_succeeds_while_it_is_stopped_has_succeeded(path):
             assert await handle.result() == result(1)
 
 
-class OnExecuting(GoalObserver):
-    """Calls a function when a goal is about to run."""
+class When(GoalObserver):
+    """Calls a function once a goal is in some state."""
 
-    def __init__(self, call: Callable[[], object]) -> None:
+    def __init__(self, status: GoalStatus, goal_id: bytes, call: Callable[[], object]) -> None:
+        self._awaited = (status, goal_id)
         self._call = call
 
     def goal_changed(self, goal: Any, before: GoalStatus, after: GoalStatus) -> None:
-        if after is GoalStatus.EXECUTING:
+        if (after, goal.id) == self._awaited:
             self._call()
 
 
@@ -343,13 +355,53 @@ async def test_a_body_that_has_not_begun_when_its_server_stops_never_runs_on(pat
 
     async with place(path) as here, anyio.create_task_group() as group:
         server = here.serve(act)
-        close = OnExecuting(partial(group.start_soon, server.aclose))
+        close = When(GoalStatus.EXECUTING, ID, partial(group.start_soon, server.aclose))
         local_server(server).observers.add(close)
         with pytest.raises(ServerUnavailable, match="goes on when the server is back"):
             await here.client.send_goal(goal(), goal_id=ID)
         await settle()
         assert not under_way
         assert records(path)[ID].status is GoalStatus.EXECUTING
+
+
+@pytest.mark.loops("asyncio", "uvloop")  # trio sends the two goals in random order
+async def test_a_goal_whose_turn_has_come_does_not_start_when_its_server_stops(path):
+    began, accepted = list[int](), anyio.Event()
+
+    async def act(request: Count.Goal) -> Any:
+        began.append(request.upto)
+        return await once_canceled(result())()
+
+    async with place(path) as here:
+        server = here.serve(act, policy="queue")
+        local_server(server).observers.add(When(GoalStatus.ACCEPTED, OTHER, accepted.set))
+        async with (
+            running(lambda: here.client.send_goal(goal(1), goal_id=ID)),
+            running(lambda: here.client.send_goal(goal(2), goal_id=OTHER)) as second,
+        ):
+            await accepted.wait()  # a thread has written it to the journal
+            await server.aclose()  # the first goal succeeds, so it is the second one's turn
+        await settle()
+        assert (type(second.error), began) == (ServerUnavailable, [1])
+        assert records(path)[OTHER].status is GoalStatus.ACCEPTED
+
+
+@pytest.mark.parametrize("waiting", [[], [OTHER]], ids=["", "with a goal that waits"])
+async def test_a_server_that_stops_gives_up_its_places_in_a_shared_slot(path, waiting):
+    options: Any = {"policy": "queue", "slot": "arm"}
+    gate = Gate()
+    gate.opened.set()
+    async with place(path) as here:
+        stopped = here.serve(Gate().wait, **options)
+        here.node.action_server(Count, "other", gate.wait, **options)
+        other = here.node.action_client(Count, "other")
+        for goal_id in (ID, *waiting):
+            (await here.client.send_goal(goal(), goal_id=goal_id).__aenter__()).detach()
+        async with running(lambda: other.send_goal(goal(7))) as next_one:
+            await stopped.aclose()
+            with anyio.fail_after(1):
+                await next_one.done.wait()
+            assert next_one.value == result(7)
 
 
 async def test_goals_are_aborted_after_a_restart_unless_they_resume(path):
