@@ -180,6 +180,7 @@ class Program(subprocess.Popen[Any]):
 
     def _execute_child(self, *arguments: Any) -> None:
         """Starts the program; `subprocess.Popen` has made the pipes."""
+        # Ten options, then both ends of each pipe, or -1 for a stream that is no pipe.
         to_read, to_write, out_read, out_write, err_read, err_write = arguments[10:16]
         theirs = [to_read, out_write, err_write]
         given = [number if each == -1 else each for number, each in enumerate(theirs)]

@@ -69,13 +69,11 @@ class Program:
 
 @pytest.fixture(scope="session")
 def stage():
-    """The module ``stage.py``."""
     return loaded(STAGE)
 
 
 @pytest.fixture(scope="session")
 def graphs():
-    """The module ``graphs.py``."""
     return loaded(GRAPHS)
 
 
@@ -119,7 +117,6 @@ def on_graph(turtleact, graphs, monkeypatch):
 
 @pytest.fixture
 def stdin_of(monkeypatch, tmp_path):
-    """Puts bytes on standard input."""
     with ExitStack() as stack:
 
         def put(data):

@@ -128,7 +128,6 @@ async def fibonacci_body(goal, handle):
 
 @asynccontextmanager
 async def fibonacci(transport):
-    """The action server of the tutorials."""
     async with open_node("fibonacci_action_server", transport=transport) as node:
         node.action_server(Fibonacci, "fibonacci", fibonacci_body)
         yield node
@@ -154,7 +153,6 @@ async def turtlesim(transport):
 
 @asynccontextmanager
 async def parameters(transport):
-    """The parameters of turtlesim."""
     async with open_node("turtlesim", transport=transport) as node:
         declared = {}
         for name, value in (("r", 69), ("g", 86), ("b", 255)):

@@ -24,7 +24,6 @@ FUNCTIONS = (
 
 
 def hide() -> None:
-    """Hide what Windows lacks."""
     import asyncio  # noqa: F401  # is made for the system that it runs on
 
     for name in MODULES:
@@ -39,7 +38,6 @@ def hide() -> None:
 
 
 def import_all() -> None:
-    """Import every module of turtleact."""
     import turtleact
 
     for module in pkgutil.walk_packages(turtleact.__path__, "turtleact."):

@@ -53,7 +53,6 @@ def there(monkeypatch):
 
 @pytest.fixture
 def nowhere(monkeypatch):
-    """No graph in reach."""
 
     def look(*where):
         raise TurtleactError("no ROS 2 graph in reach")
@@ -90,7 +89,6 @@ def offered(monkeypatch, capsys):
 
 @pytest.fixture
 def completed(offered):
-    """The values alone."""
     return lambda *words: [line for line in offered(*words) if line]
 
 

@@ -52,7 +52,6 @@ async def count(node):
 
 
 def documents(out):
-    """The YAML documents in an output."""
     return [yaml.safe_load(each) for each in out.split("---\n") if each]
 
 

@@ -17,7 +17,6 @@ from ..lab import free_endpoint
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
-    """An empty working directory."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     with REGISTRY.isolated():

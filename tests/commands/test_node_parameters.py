@@ -218,7 +218,6 @@ def test_a_value_that_is_taken_is_told_as_by_ros2_and_there(on_graph, graphs):
 
 @asynccontextmanager
 async def numbers(transport):
-    """A node with doubles."""
     async with open_node("lab", transport=transport) as node:
         speed = node.parameter("speed", 1.0, range=(0, 2))
         gains = node.parameter("gains", [1.0])

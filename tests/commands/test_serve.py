@@ -136,14 +136,12 @@ class Served(NamedTuple):
         return anyio.run(main)
 
     def end(self, number: signal.Signals) -> tuple[int, str, str]:
-        """End the server by a signal."""
         self.process.send_signal(number)
         out, err = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, out, err
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """Start a command line."""
     return start_python(folder, "-m", "turtleact", *arguments)
 
 

@@ -43,7 +43,6 @@ def module(text, kind="msg", name="Sample", package="example_msgs"):
 
 
 def body(text, **named):
-    """What stands below the class line."""
     return module(text, **named).partition("):\n")[2]
 
 

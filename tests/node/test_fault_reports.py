@@ -31,8 +31,6 @@ LATCHED = QoS(depth=10, durability="transient_local")
 
 
 class Usage(NamedTuple):
-    """What a disk looks like."""
-
     total: int
     used: int
     free: int
@@ -156,7 +154,6 @@ async def test_a_server_reports_feedback_that_it_had_to_drop(monkeypatch, tmp_pa
 
 
 async def first_of(reader: Any) -> AsyncIterator[tuple[str, str]]:
-    """What the first message of a subscription says."""
     for each in told(await anext(reader)):
         yield each
 

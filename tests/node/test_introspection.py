@@ -59,17 +59,14 @@ class Log:
         self._kept: dict[str, list[Any]] = {name: [] for name in SERVICES}
 
     def events(self, name: str) -> list[Any]:
-        """All events of a service so far."""
         self._kept[name] += self.topics[name].drain()
         return self._kept[name]
 
     def kinds(self, name: str) -> list[str]:
-        """The kinds of these events."""
         return [kind_of(each) for each in self.events(name)]
 
 
 def kind_of(event: Any) -> str:
-    """The name of an event's kind."""
     return next(each for each in CALLED if getattr(ServiceEventInfo, each) == event.info.event_type)
 
 
@@ -79,7 +76,6 @@ def call_ids(events: list[Any]) -> set[tuple[bytes, int]]:
 
 
 async def flip(request: SetBool.Request) -> SetBool.Response:
-    """Answers with the opposite."""
     return SetBool.Response(success=not request.data)
 
 

@@ -53,7 +53,6 @@ def total(number: Any) -> Add.Response:
 
 
 def add(request: Add.Request) -> Add.Response:
-    """The plain handler."""
     return total(sum(request.numbers))
 
 
@@ -73,7 +72,6 @@ class Desk(NamedTuple):
 
     @property
     def is_idle(self) -> bool:
-        """Whether the server holds no request."""
         return self.server.is_idle
 
 
@@ -139,7 +137,6 @@ class Gate:
         return add(request)
 
     async def hold_on(self, request: Add.Request) -> Add.Response:
-        """Does not let itself be canceled."""
         self.log.append("begun")
         try:
             await self.opened.wait()
@@ -165,8 +162,6 @@ def no_grace(monkeypatch):
 
 
 class Adder:
-    """An object with handlers."""
-
     def __call__(self, request: Add.Request) -> Add.Response:
         return add(request)
 

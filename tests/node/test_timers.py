@@ -20,7 +20,6 @@ pytestmark = pytest.mark.loops("asyncio", "trio")
 
 @asynccontextmanager
 async def lab():
-    """A node in virtual time."""
     clock = VirtualClock()
     async with (
         aclosing(Background(clock.run(), "the clock")),

@@ -26,7 +26,6 @@ def client(node):
 
 @pytest.fixture
 def send(client, executor):
-    """Sends a goal and returns its handle."""
 
     def send(order=3, **options):
         sent = client.send_goal_async(Fibonacci.Goal(order=order), **options)

@@ -42,7 +42,6 @@ class Camera(LifecycleNode):
 
 @pytest.fixture
 def ask(node, executor):
-    """Call a service of the managed node."""
 
     def call(kind, name, **fields):
         service = interface_class(f"lifecycle_msgs/srv/{kind}")

@@ -58,7 +58,6 @@ class Tab:
         return heard["result"]
 
     async def go(self, url: str) -> None:
-        """Load a page."""
         await self.do("Page.navigate", url=url)
         await self._hear(lambda message: message.get("method") == "Page.loadEventFired")
 
@@ -90,16 +89,13 @@ class Tab:
         )
 
     async def text(self, selector: str) -> str:
-        """The text of the first element that fits."""
         found: str = await self.run(f"document.querySelector({json.dumps(selector)}).innerText")
         return found
 
     async def click(self, selector: str) -> None:
-        """Click on the first element that fits."""
         await self.run(f"document.querySelector({json.dumps(selector)}).click()")
 
     async def click_map(self, x: float, y: float) -> None:
-        """Click on a place of the world."""
         left, top, width, height = await self.run(
             "const box = $('world').getBoundingClientRect();"
             "[box.left, box.top, box.width, box.height]"

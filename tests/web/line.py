@@ -76,7 +76,6 @@ class Line:
             self._outbox.close()
 
     def say(self, op: str, **members: object) -> None:
-        """Send a frame."""
         self.say_raw(json.dumps({"op": op, **members}))
 
     def say_raw(self, frame: str | bytes) -> None:
