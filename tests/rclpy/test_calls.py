@@ -19,6 +19,7 @@ from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.messages import hash_of, interface_class
+from turtleact.transports.base import Endpoint
 
 from ..lab import free_endpoint
 
@@ -197,11 +198,10 @@ def test_a_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch,
 
 def test_a_request_that_cannot_be_read_is_refused_and_logged(node, executor, capsys):
     node.create_service(AddTwoInts, "add", add)
-    handler = node.connection.local("/add", AddTwoInts.type_name)
-    answers: list[Any] = []
-    handler.take(b"\0\1\0\0", answers.append)
-    executor.spin_once(timeout_sec=0)
-    assert isinstance(answers[0], InvalidMessage)
+    caller = node.connection.join(Endpoint("client", "/add", AddTwoInts.type_name, "/lab"))
+    called = node.connection.loop.start(lambda: caller.call(b"\0\1\0\0"))
+    executor.spin_once(timeout_sec=5)
+    assert isinstance(called.exception(5), InvalidMessage)
     assert "a request to /add cannot be read" in capsys.readouterr().err
 
 

@@ -279,14 +279,14 @@ class ActionServer(Introspected, Waitable, QueueEntity):
         kind = self._kind
         feedback = kind.names.feedback
         self._feedback = node.advertise(feedback, kind.feedback_type, feedback_pub_qos_profile)
+        # Who sends a goal reads feedback, but may not be discovered as a reader before that.
+        self._feedback.expect_readers()
         self._status = StatusTopic(node, self._kind, status_pub_qos_profile, self._held)
         # The last is send_goal: clients that see it expect the others.
-        self._ends = {
-            service: kind.serve(service, partial(self._receive, service))
+        self.ends = tuple(
+            kind.serve(service, partial(self._receive, service))
             for service in ("cancel_goal", "get_result", "send_goal")
-        }
-        self.ends = tuple(self._ends.values())
-        self._expects_readers = False
+        )
         node.add_waitable(self)
 
     @property
@@ -385,7 +385,6 @@ class ActionServer(Introspected, Waitable, QueueEntity):
         handle = None
         if accepted:
             handle = self._goal_handles[goal_id] = ServerGoalHandle(self, info, request.goal)
-            self._expect_readers()
         response = self._kind.service("send_goal").Response(accepted=accepted, stamp=info.stamp)
         respond(Reply(encode(response, type(response)), NOTE))
         if handle is None:
@@ -394,15 +393,6 @@ class ActionServer(Introspected, Waitable, QueueEntity):
         self._logger.debug(f"New goal accepted: {goal_id.hex()}")
         self._status.publish()
         await await_or_execute(self._handle_accepted_callback, handle)
-
-    def _expect_readers(self) -> None:
-        """Once another process has sent a goal, publish feedback even if no reader is known.
-
-        The goal's client reads feedback, but its subscription may not have been discovered yet.
-        """
-        if self._ends["send_goal"].handler.has_remote_callers and not self._expects_readers:
-            self._expects_readers = True
-            self._feedback.expect_readers()
 
     async def _is_wanted(self, goal: Anything) -> bool:
         response = await await_or_execute(self._goal_callback, goal)

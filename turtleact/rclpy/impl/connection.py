@@ -14,13 +14,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future, wait
 from contextlib import AbstractAsyncContextManager
 from functools import partial
-from itertools import count
 from typing import TypeAlias, TypeVar, cast
 
 from turtleact.errors import TurtleactError
@@ -303,11 +301,6 @@ class Connection:
         """
         return self.call(lambda transport: transport.join(endpoint, _format(endpoint), target))
 
-    def local(self, name: str, type_name: str) -> RequestHandler | None:
-        """Return the handler of a service in this process, if there is one."""
-        found = self._transport.local(name, type_name)
-        return found if isinstance(found, RequestHandler) else None
-
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """Return all endpoints on the graph, or only those of the topic or service ``name``."""
         self.wait_until_explored()
@@ -393,27 +386,21 @@ class RequestHandler(ServiceHandler):
     """Passes the requests for a service to a function that may answer in any thread, at any time.
 
     Args:
-        take: Called in any thread, with a request and the function that answers it.
+        take: Called in the event loop, with a request and the function that answers it.
         observer: Gets the requests and the responses.
-
-    Attributes:
-        take: The function that handles requests.
-        has_remote_callers: Whether another process has sent a request.
     """
 
     def __init__(
         self, take: Callable[[bytes, Respond], None], observer: CallObserver | None = None
     ) -> None:
-        self.take = take
+        self._take = take
         self.observer = observer
-        self.has_remote_callers = False
 
     async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
         """Pass a request to the function ``take``, and wait for the answer."""
-        self.has_remote_callers = True
         answered: Future[Reply | TurtleactError] = Future()
         answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
-        self.take(cast("bytes", request), answered.set_result)
+        self._take(cast("bytes", request), answered.set_result)
         reply = await asyncio.wrap_future(answered)
         if isinstance(reply, TurtleactError):
             raise reply
@@ -426,11 +413,10 @@ class ServiceEnd:
     Args:
         connection: The connection to the graph.
         endpoint: Describes the server on the graph.
-        take: Called in any thread, with a request and the function that answers it.
+        take: Called in the event loop, with a request and the function that answers it.
 
     Attributes:
         events: The publisher of the calls' introspection events.
-        handler: Passes the requests on.
     """
 
     def __init__(
@@ -440,8 +426,7 @@ class ServiceEnd:
         take: Callable[[bytes, Respond], None],
     ) -> None:
         self.events = SwitchableEvents(connection, endpoint)
-        self.handler = RequestHandler(take, self.events)
-        self._leave = connection.serve(endpoint, self.handler)
+        self._leave = connection.serve(endpoint, RequestHandler(take, self.events))
 
     def close(self) -> None:
         """Publish no more events, and take no more requests."""
@@ -470,10 +455,6 @@ class CallEnd:
         self.events = SwitchableEvents(connection, endpoint)
         self._caller: Caller = connection.join(endpoint, target)
         self._caller.observer = self.events
-        self._gid = os.urandom(16)  # identifies it in the events of calls inside the process
-        self._sequence = count(1)
-        self._found: RequestHandler | None = None
-        self._seen = -1
 
     @property
     def is_served(self) -> bool:
@@ -487,10 +468,6 @@ class CallEnd:
             request: The encoded request.
             respond: Called in any thread, with the reply, or with the reason why there is none.
         """
-        handler = self._local()
-        if handler is not None:
-            handler.take(request, self._watched(handler, request, respond))
-            return
 
         async def call() -> None:
             try:
@@ -508,33 +485,3 @@ class CallEnd:
         """
         self._connection.loop.post(self._caller.close)
         self.events.close()
-
-    def _watched(self, handler: RequestHandler, request: bytes, respond: Respond) -> Respond:
-        """Report a request to the observers, and return a function that reports the response.
-
-        The transport does not report calls inside this process, so this method does.
-        """
-        observers = [each for each in (self.events, handler.observer) if each is not None]
-        sequence = next(self._sequence)
-        for each in observers:
-            each.requested(request, self._gid, sequence)
-
-        def answer(reply: Reply | TurtleactError) -> None:
-            if isinstance(reply, Reply):
-                for each in reversed(observers):
-                    each.responded(reply.message, self._gid, sequence)
-            respond(reply)
-
-        return answer
-
-    def _local(self) -> RequestHandler | None:
-        """Return the server in this process, if there is one.
-
-        The server is looked up again whenever the graph has changed.
-        """
-        changes = self._connection.changes
-        if changes != self._seen:
-            endpoint = self.endpoint
-            self._found = self._connection.local(endpoint.name, endpoint.type_name)
-            self._seen = changes
-        return self._found
