@@ -478,16 +478,12 @@ def _nodes_of_action(
 
     If several nodes share a name, the name is yielded several times.
     """
+    service = action_names(name).send_goal
     for who in sorted(set(node.transport.nodes())):
         own = _endpoints_of(node, who)
         types = types_by_name(own, "action", kind, hidden=True).get(name, ())
-        ends = Counter(each.type_name for each in own if each.kind == kind and _is_of(each, name))
+        ends = Counter(e.type_name for e in own if e.kind == kind and e.name == service)
         yield from ((who, types) for _ in range(max(ends.values(), default=0)))
-
-
-def _is_of(endpoint: Endpoint, action: str) -> bool:
-    """Whether an endpoint belongs to the ``send_goal`` service of an action."""
-    return endpoint.name == action_names(action).send_goal
 
 
 # services

@@ -457,8 +457,11 @@ def _number(problem: str, is_fit: Callable[[float], bool]) -> Callable[[str | fl
     """Return a parser of finite numbers. The error for other texts ends with ``problem``."""
 
     def parse(given: str | float) -> float:
-        value = _finite(given)
-        if not is_fit(value):
+        try:
+            value = float(given)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and is_fit(value)):
             raise typer.BadParameter(f"{quoted(str(given))} {problem}")
         return value
 
@@ -499,12 +502,3 @@ def or_max(parse: Callable[[str], float]) -> Callable[[str], float | str]:
             raise typer.BadParameter(f"{error.message}, or max") from None
 
     return parse_either
-
-
-def _finite(given: str | float) -> float:
-    """Parse a number. Return NaN if the text is not a number, or if the number is infinite."""
-    try:
-        value = float(given)
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) else math.nan

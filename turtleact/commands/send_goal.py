@@ -307,19 +307,14 @@ class GoalSender:
                 status = FAILED if self._canceled_by is None else self._canceled_by
             except GoalRejected as error:
                 self._printer.rejected(error.reason)
-                note(self._why_rejected(error))
+                reason = f"reason: {error.reason}" if error.reason else "the server gave no reason"
+                note(str(error) if self._request.view == "json" else reason)
                 status = REJECTED
             beside.cancel_scope.cancel()
         if status is None:
             note("given up before the goal was accepted, so it was withdrawn")
             return TIMEOUT
         return status
-
-    def _why_rejected(self, error: GoalRejected) -> str:
-        """Return the note to print after a rejection."""
-        if self._request.view == "json":
-            return str(error)
-        return f"reason: {error.reason}" if error.reason else "the server gave no reason"
 
     async def _follow(self, sent: Followed, beside: TaskGroup) -> int:
         printer = self._printer
