@@ -111,8 +111,10 @@ async def test_whoever_sleeps_goes_on_between_the_ticks_of_a_step():
 
 async def test_there_are_no_steps_below_none():
     async with ticks(is_paused=True) as here:
+        await here.ticking.step(0)
         with pytest.raises(SimError, match="-1 steps: give 0 or more"):
             await here.ticking.step(-1)
+        assert here.log == []
 
 
 async def test_steps_are_made_for_one_who_asks_at_a_time():

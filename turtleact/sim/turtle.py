@@ -6,9 +6,8 @@
 - ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
 - ``<turtle>/rotate_absolute``, one goal at a time.
 
-`Rotation` is turtlesim's controller for ``rotate_absolute``, and does not use ROS. A running goal
-calls the controller in each tick. This module rounds to float32 wherever turtlesim does. The module
-has no clock: the module `turtlesim` calls each turtle's methods at each tick.
+This module rounds to float32 wherever turtlesim does. The module has no clock: the module
+`turtlesim` calls each turtle's methods at each tick.
 
 Source: turtlesim 1.8.2, ``turtle.cpp`` (for the controller ``Turtle::update`` and
 ``Turtle::rotateAbsoluteAcceptCallback``) and ``qos.hpp``.
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
 
     Handle = ServerGoalHandle[RotateAbsolute.Goal, RotateAbsolute.Result, RotateAbsolute.Feedback]
 
-__all__ = ["TOPIC_QOS", "Habitat", "Rotation", "Turtle"]
+__all__ = ["TOPIC_QOS", "Habitat", "Turtle"]
 
 logger = logging.getLogger("turtleact.turtlesim")
 
@@ -217,8 +216,7 @@ class Turtle:
                 "Rotation goal received before a previous goal finished. Aborting previous goal"
             )
             self.turn.abort("preempted by another goal")
-        turn = self.turn = _Turn(Rotation(goal.theta, self._world.heading(self.name)), handle)
-        turn.is_held = handle.is_paused
+        turn = self.turn = _Turn(goal.theta, self._world.heading(self.name), handle)
         self._on_work(self)
         try:
             await turn.ended.wait()
@@ -247,29 +245,29 @@ class Turtle:
 
 
 class _Turn:
-    """A goal of ``rotate_absolute`` that is running.
+    """A goal of ``rotate_absolute`` that is running: turns a turtle to a heading, tick by tick.
+
+    Args:
+        target: The heading to turn to (rad), any finite angle.
+        theta: The turtle's heading before the turn (rad).
+        handle: The handle of the goal.
 
     Attributes:
         ended: Set when the goal ends.
         is_held: Whether the goal is paused.
+        result: The result message: the heading before the turn minus the heading before the latest
+            tick (rad).
     """
 
-    def __init__(self, rotation: Rotation, handle: Handle) -> None:
+    def __init__(self, target: float, theta: float, handle: Handle) -> None:
         self.ended = anyio.Event()
-        self.is_held = False
-        self._rotation = rotation
+        self.is_held = handle.is_paused
+        self.result = RotateAbsolute.Result()
+        self.goal_id = handle.goal_id
+        self._target = wrap(*array("f", (target,)))
+        self._start = theta
         self._handle = handle
         self._reason = ""
-
-    @property
-    def goal_id(self) -> bytes:
-        """The id of the goal."""
-        return self._handle.goal_id
-
-    @property
-    def result(self) -> RotateAbsolute.Result:
-        """The result message: how far the turtle has turned so far."""
-        return RotateAbsolute.Result(self._rotation.delta)
 
     def take(self) -> RotateAbsolute.Result:
         """Return the result of the ended goal. Raise `Abort` if the goal was aborted."""
@@ -278,55 +276,26 @@ class _Turn:
         return self.result
 
     def tick(self, theta: float) -> float | None:
-        """Publish the remaining turn; return the turn rate, or None if the heading is reached."""
-        omega = self._rotation.tick(theta)
-        self._handle.publish_feedback(RotateAbsolute.Feedback(self._rotation.remaining))
-        if omega is None:
+        """Publish the remaining turn, and return how fast to turn in this tick (rad/s).
+
+        If the target is exactly opposite, the turtle turns right. The result is None if the heading
+        ``theta`` (rad) is the wanted one, so that the turtle must stand still.
+        """
+        now, turned = array("f", (theta, self._start - theta))
+        remaining = wrap(self._target - now)
+        told, delta = array("f", (remaining, wrap(turned)))
+        self._handle.publish_feedback(RotateAbsolute.Feedback(told))
+        self.result = RotateAbsolute.Result(delta)
+        # As in turtlesim, the difference is taken the other way round here.
+        if abs(wrap(now - self._target)) < TOLERANCE:
             self.ended.set()
-        return omega
+            return None
+        return -TURN_SPEED if remaining < 0.0 else TURN_SPEED
 
     def abort(self, reason: str) -> None:
         """End the goal, so that `take` raises `Abort` with ``reason``."""
         self._reason = reason
         self.ended.set()
-
-
-class Rotation:
-    """Turns a turtle to a heading, tick by tick.
-
-    Args:
-        target: The heading to turn to (rad), any finite angle.
-        theta: The turtle's heading before the turn (rad).
-
-    Attributes:
-        remaining: The angle that the turtle still had to turn when the latest tick began (rad,
-            float32); positive to the left.
-        delta: The heading before the turn minus the heading before the latest tick (rad, float32).
-    """
-
-    def __init__(self, target: float, theta: float) -> None:
-        self.remaining = 0.0
-        self.delta = 0.0
-        (wanted,) = array("f", (target,))
-        self._target = wrap(wanted)
-        self._start = theta
-
-    def tick(self, theta: float) -> float | None:
-        """Return how fast to turn in the tick that begins with the heading ``theta`` (rad).
-
-        If the target is exactly opposite, the turtle turns right.
-
-        Returns:
-            The turn rate (rad/s), or None if the heading is reached and the turtle must stand
-            still.
-        """
-        now, turned = array("f", (theta, self._start - theta))
-        remaining = wrap(self._target - now)
-        self.remaining, self.delta = array("f", (remaining, wrap(turned)))
-        # As in turtlesim, the difference is taken the other way round here.
-        if abs(wrap(now - self._target)) < TOLERANCE:
-            return None
-        return -TURN_SPEED if remaining < 0.0 else TURN_SPEED
 
 
 def _check(goal: RotateAbsolute.Goal) -> GoalResponse:
