@@ -15,10 +15,10 @@ import turtleact
 from turtleact import QoS, testing
 from turtleact.errors import ServerUnavailable, ServiceError
 from turtleact.interfaces import Message, Service, decode, get_interface, int32, string, uint8
-from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Twist, Vector3
+from turtleact.interfaces.standard import Point, Twist, Vector3
 from turtleact.web import Limits
 
-from ..lab import Count, Gate, Running, goal, running, settle
+from ..lab import Running, running, settle
 from .line import Line, bridged, line
 
 Log: Any = get_interface("rcl_interfaces/msg/Log")
@@ -118,19 +118,6 @@ async def test_a_latched_message_reaches_each_late_client():
         for client in (one, other):
             client.say("subscribe", topic="/here")
             assert (await client.hear())["msg"]["x"] == 7.0
-
-
-async def test_the_status_of_an_action_reaches_a_late_client():
-    gate = Gate()
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        async with node.action_client(Count, "count").send_goal(goal()):
-            client.say("subscribe", topic="/count/_action/status", type=GoalStatusArray.type_name)
-            (status,) = (await client.hear())["msg"]["status_list"]
-            assert status["status"] == 2
-            gate.opened.set()
-            frame = await client.hear()
-            assert [each["status"] for each in frame["msg"]["status_list"]] == [4]
 
 
 def test_a_topic_comes_no_more_often_than_asked_for():
@@ -342,19 +329,6 @@ async def test_a_client_may_have_so_many_calls_under_way():
         release.set()
         assert {(await client.hear())["id"] for _ in range(2)} == {0, 1}
         assert (await client.call("/add", args=[5]))["values"] == {"sum": 5}
-
-
-async def test_hidden_services_can_be_called():
-    gate = Gate()
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        async with node.action_client(Count, "count").send_goal(goal()) as handle:
-            client.say("call_service", service="/count/_action/cancel_goal", args={})
-            answer = await client.hear()
-            assert answer["values"]["return_code"] == CancelGoal.Response.ERROR_NONE
-            (canceled,) = answer["values"]["goals_canceling"]
-            assert base64.b64decode(canceled["goal_id"]["uuid"]) == handle.goal_id
-            assert (await handle.outcome()).status.name == "CANCELED"
 
 
 # a client that serves

@@ -25,9 +25,8 @@ does not advance. A pause therefore delays the goal, but uses up none of the goa
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import anyio
@@ -128,10 +127,9 @@ class Drive:
         """Whether the turtle is at a target and, if ``theta`` is given, has that heading (rad)."""
         return self._steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
-    def distance_to(self, targets: Sequence[Point]) -> float:
-        """Return the length (m) of straight lines from the turtle through all targets in order."""
-        stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
-        return sum(distance(*a, *b) for a, b in pairwise(stops))
+    def distance_to(self, target: Point) -> float:
+        """Return the length of the straight line from the turtle to a target (m)."""
+        return distance(*self.seen.pose[:2], target.x, target.y)
 
     def time(self) -> float:
         """Return the time of the drive (s): the time of the node's clock without the pauses.

@@ -138,7 +138,7 @@ class _GoTo:
 
             def tell() -> None:
                 note()
-                handle.publish_feedback(GoTo.Feedback(drive.pose, drive.distance_to([target])))
+                handle.publish_feedback(GoTo.Feedback(drive.pose, drive.distance_to(target)))
 
             try:
                 while not drive.has_reached(target, theta=theta):

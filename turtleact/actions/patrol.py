@@ -278,7 +278,7 @@ class _Tour:
         """Publish feedback about the stop that the turtle is heading for or has reached."""
         target, remaining = self._targets[self.index(stop)], self._length_from(stop)
         if not is_reached:
-            remaining += self._drive.distance_to([target])
+            remaining += self._drive.distance_to(target)
         self._tell(
             Patrol.Feedback(
                 index=self.index(stop),
