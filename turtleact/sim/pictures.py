@@ -39,6 +39,7 @@ __all__ = [
     "Polyline",
     "Shades",
     "Snapshot",
+    "encode_png",
     "hue_of",
     "shades_of",
     "svg_shades",
@@ -151,7 +152,7 @@ def to_svg(snapshot: Snapshot) -> str:
         f'<rect width="{SIZE}" height="{SIZE}" fill="{_css(snapshot.background)}"/>',
     ]
     if snapshot.base is not None:
-        image = base64.b64encode(_png(snapshot.base, channels=4)).decode()
+        image = base64.b64encode(encode_png(snapshot.base, channels=4)).decode()
         href = f"data:image/png;base64,{image}"
         lines.append(f'<image width="{SIZE}" height="{SIZE}" href="{href}"/>')
     lines.append('<g fill="none" stroke-linecap="square" stroke-linejoin="round">')
@@ -181,7 +182,7 @@ def to_png(snapshot: Snapshot) -> bytes:
         for shade, outline in _PARTS:
             corners = np.array(outline) * turned + turtle.place * METER
             _paint(picture, corners, getattr(shades, shade))
-    return _png(picture.tobytes(), channels=3)
+    return encode_png(picture.tobytes(), channels=3)
 
 
 def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
@@ -303,13 +304,13 @@ def _shown(start: int, length: int) -> slice:
     return slice(*(min(max(end, 0), SIZE) for end in (start, start + length)))
 
 
-def _png(pixels: bytes, *, channels: int) -> bytes:
+def encode_png(pixels: bytes, *, channels: int, width: int = SIZE) -> bytes:
     """Encode rows of pixels as PNG. With four channels, alpha follows red, green and blue."""
-    stride = SIZE * channels
-    rows = (b"\0" + pixels[at : at + stride] for at in range(0, len(pixels), stride))  # no filter
+    stride = width * channels
+    rows = [b"\0" + pixels[at : at + stride] for at in range(0, len(pixels), stride)]  # no filter
     colour_type = {3: 2, 4: 6}[channels]
-    header = struct.pack(">IIBBBBB", SIZE, SIZE, 8, colour_type, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(b"".join(rows), 9)), (b"IEND", b""))
+    header = struct.pack(">IIBBBBB", width, len(rows), 8, colour_type, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(b"".join(rows))), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(*chunk) for chunk in chunks)
 
 

@@ -27,7 +27,6 @@ import functools
 import math
 import re
 import struct
-import zlib
 from collections.abc import Callable
 from typing import Any, Final, Literal, TypeAlias, TypeVar, cast
 
@@ -39,6 +38,7 @@ from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Message, encode, fields, from_dict
 from turtleact.interfaces.definition import Field
 from turtleact.interfaces.types import nested_classes
+from turtleact.sim.pictures import encode_png
 from turtleact.web.operations import Id
 
 __all__ = [
@@ -113,14 +113,7 @@ def png(text: str) -> str:
     width = max(1, math.isqrt(len(data) // 3))
     row = width * 3
     height = max(1, -(-len(data) // row))
-    data = data.ljust(row * height, b"\n")
-    rows = b"".join(b"\x00" + data[at : at + row] for at in range(0, len(data), row))
-    picture = (
-        b"\x89PNG\r\n\x1a\n"
-        + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-        + _chunk(b"IDAT", zlib.compress(rows))
-        + _chunk(b"IEND", b"")
-    )
+    picture = encode_png(data.ljust(row * height, b"\n"), channels=3, width=width)
     return request("png", data=base64.b64encode(picture).decode())
 
 
@@ -246,10 +239,6 @@ MAKERS: dict[Compression, Callable[[Message, str, int], Frame]] = {
     "cbor": _cbor,
     "cbor-raw": _cbor_raw,
 }
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 def _escaped(found: re.Match[str]) -> str:
