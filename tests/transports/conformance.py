@@ -73,7 +73,6 @@ ASKING = WireFormat(Sum, asks=True)
 LATCHED = QoS(depth=2, durability="transient_local")
 KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription", "service", "client")
 
-BOTH_WAYS = pytest.mark.parametrize("end", ["here", "there"])
 EACH_KIND = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -154,10 +153,16 @@ def numbers(*values: int) -> Sum.Request:
     return Sum.Request(numbers=list(values))
 
 
-async def connected(peers: Any, end: str = "there") -> tuple[Publication, Inbox]:
-    """A publisher here, and what a subscription at some end gets, once they know each other."""
+def listen(at: Transport, endpoint: Endpoint | None = None) -> Inbox:
+    """What a new subscription gets."""
     inbox = Inbox()
-    getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
+    at.subscribe(endpoint or subscription(), SPEECH, inbox.deliver)
+    return inbox
+
+
+async def connected(peers: Any) -> tuple[Publication, Inbox]:
+    """A publisher here, and what a subscription there gets, once they know each other."""
+    inbox = listen(peers.there)
     publication = peers.here.advertise(publisher(), SPEECH)
     await peers.settle()
     return publication, inbox
@@ -171,11 +176,11 @@ async def say(peers: Any, publication: Publication, *numbers: int) -> None:
 
 
 async def served(
-    peers: Any, handler: ServiceHandler, end: str = "there", *, by: str = "here"
+    peers: Any, handler: ServiceHandler, at: Transport | None = None, *, by: Transport | None = None
 ) -> Any:
     """A client by one of two peers, once it knows the handler at the other end."""
-    getattr(peers, end).serve(service(), SERVING, handler)
-    caller = getattr(peers, by).join(client(), ASKING)
+    (at or peers.there).serve(service(), SERVING, handler)
+    caller = (by or peers.here).join(client(), ASKING)
     await peers.settle()
     return caller
 
@@ -215,13 +220,18 @@ class TransportConformance:
         async with transport() as peers:
             yield peers
 
+    @pytest.fixture(params=["here", "there"])
+    def at(self, request: pytest.FixtureRequest, peers: Peers) -> Transport:
+        """The other end: on the same transport, or on that of the other peer."""
+        found: Transport = getattr(peers, request.param)
+        return found
+
     # topics
 
-    @BOTH_WAYS
-    async def test_a_raw_subscription_gets_the_bytes_that_are_sent(self, peers, end):
+    async def test_a_raw_subscription_gets_the_bytes_that_are_sent(self, peers, at):
         seen: list[object] = []
         raw = RawFormat(SPEECH.type_hash, SPEECH.encode)
-        getattr(peers, end).subscribe(subscription(), raw, seen.append)
+        at.subscribe(subscription(), raw, seen.append)
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
         assert publication.has_readers
@@ -241,13 +251,9 @@ class TransportConformance:
         assert inbox.numbers == [7]
         assert [raw.encode(each) for each in seen] == [SPEECH.encode(feedback(7))]
 
-    @BOTH_WAYS
     @pytest.mark.parametrize("in_any_thread", [False, True])
-    async def test_messages_arrive_in_the_order_of_their_publishing(
-        self, peers, end, in_any_thread
-    ):
+    async def test_messages_arrive_in_the_order_of_their_publishing(self, peers, at, in_any_thread):
         inbox, wanted = Inbox(), subscription(qos=QoS(depth=200))
-        at = getattr(peers, end)
         at.subscribe(wanted, SPEECH, inbox.deliver, in_any_thread=in_any_thread)
         publication = peers.here.advertise(publisher(qos=QoS(depth=200)), SPEECH)
         await peers.settle()
@@ -266,8 +272,7 @@ class TransportConformance:
         assert [inbox.numbers for inbox in inboxes] == [[7], [7], [7]]
 
     async def test_a_subscription_hears_every_publisher(self, peers):
-        inbox = Inbox()
-        peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+        inbox = listen(peers.here)
         one = peers.here.advertise(publisher(), SPEECH)
         other = peers.there.advertise(publisher(), SPEECH)
         await peers.settle()
@@ -331,14 +336,12 @@ class TransportConformance:
 
     # latched messages
 
-    @BOTH_WAYS
-    async def test_a_late_subscription_gets_the_last_latched_messages_first(self, peers, end):
+    async def test_a_late_subscription_gets_the_last_latched_messages_first(self, peers, at):
         publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
         for number in (1, 2, 3):
             publication.publish(feedback(number))
         await peers.settle()
-        inbox = Inbox()
-        getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        inbox = listen(at, subscription(qos=LATCHED))
         await peers.settle()
         await say(peers, publication, 4)
         assert inbox.numbers == [2, 3, 4]
@@ -348,14 +351,12 @@ class TransportConformance:
             latched = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
             latched.publish(feedback(number))
         await peers.settle()
-        inbox = Inbox()
-        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        inbox = listen(peers.there, subscription(qos=LATCHED))
         await peers.settle()
         assert sorted(inbox.numbers) == [1, 2]
 
     async def test_a_latched_message_does_not_come_twice(self, peers):
-        inbox = Inbox()
-        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        inbox = listen(peers.there, subscription(qos=LATCHED))
         publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH)
         await peers.settle()
         await say(peers, publication, 1)
@@ -371,8 +372,7 @@ class TransportConformance:
     async def test_old_messages_come_only_if_both_sides_want_them(self, peers, sent, wanted):
         publication = peers.here.advertise(publisher(qos=sent), SPEECH)
         await say(peers, publication, 1)
-        inbox = Inbox()
-        peers.there.subscribe(subscription(qos=wanted), SPEECH, inbox.deliver)
+        inbox = listen(peers.there, subscription(qos=wanted))
         await peers.settle()
         await say(peers, publication, 2)
         assert inbox.numbers == [2]
@@ -382,20 +382,18 @@ class TransportConformance:
         await say(peers, publication, 1)
         publication.close()
         await peers.settle()
-        inbox = Inbox()
-        peers.there.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        inbox = listen(peers.there, subscription(qos=LATCHED))
         await peers.settle()
         assert inbox.numbers == []
 
     # who reads
 
-    @BOTH_WAYS
-    async def test_a_publisher_has_readers_as_long_as_a_subscription_is_open(self, peers, end):
+    async def test_a_publisher_has_readers_as_long_as_a_subscription_is_open(self, peers, at):
         publication = peers.here.advertise(publisher(), SPEECH)
         peers.there.subscribe(subscription("/chatter2"), SPEECH, Inbox().deliver)
         await peers.settle()
         assert not publication.has_readers
-        subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
+        subscribed = at.subscribe(subscription(), SPEECH, Inbox().deliver)
         await peers.settle()
         assert publication.has_readers
         subscribed.close()
@@ -415,11 +413,10 @@ class TransportConformance:
 
     # closing
 
-    @BOTH_WAYS
-    async def test_a_closed_subscription_gets_nothing_more(self, peers, end):
+    async def test_a_closed_subscription_gets_nothing_more(self, peers, at):
         inbox, other = Inbox(), Inbox()
-        subscribed = getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
-        getattr(peers, end).subscribe(subscription(), SPEECH, other.deliver)
+        subscribed = at.subscribe(subscription(), SPEECH, inbox.deliver)
+        at.subscribe(subscription(), SPEECH, other.deliver)
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
         await say(peers, publication, 1)
@@ -468,15 +465,13 @@ class TransportConformance:
         publication = peers.here.advertise(publisher(), SPEECH)
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
         await peers.settle()
-        inbox = Inbox()
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        inbox = listen(peers.there)
         await peers.settle()
         await say(peers, publication, 1)
         assert inbox.numbers == [1]
 
     async def test_a_subscription_outlives_the_last_publisher(self, peers):
-        inbox = Inbox()
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        inbox = listen(peers.there)
         peers.here.advertise(publisher(), SPEECH).close()
         await peers.settle()
         publication = peers.here.advertise(publisher(), SPEECH)
@@ -494,15 +489,14 @@ class TransportConformance:
 
     # the graph
 
-    @BOTH_WAYS
     @EACH_KIND
-    async def test_an_endpoint_is_in_the_graph_while_it_is_open(self, peers, kind, end):
+    async def test_an_endpoint_is_in_the_graph_while_it_is_open(self, peers, kind, at):
         opened = open_it(peers.here, of_kind(kind))
         await peers.settle()
-        assert seen(getattr(peers, end)) == [of_kind(kind)]
+        assert seen(at) == [of_kind(kind)]
         opened.close()
         await peers.settle()
-        assert seen(getattr(peers, end)) == []
+        assert seen(at) == []
 
     async def test_endpoints_are_in_the_order_of_their_opening(self, peers):
         wanted = [of_kind(kind, f"/{name}") for name in "ba" for kind in reversed(KINDS)]
@@ -516,14 +510,13 @@ class TransportConformance:
         await peers.settle()
         assert [endpoint.qos for endpoint in peers.there.endpoints()] == [qos]
 
-    @BOTH_WAYS
-    async def test_a_node_is_in_the_graph_from_entering_to_closing(self, peers, end):
+    async def test_a_node_is_in_the_graph_from_entering_to_closing(self, peers, at):
         entered = peers.here.enter("/sim/lab")
         await peers.settle()
-        assert getattr(peers, end).nodes() == ("/sim/lab",)
+        assert at.nodes() == ("/sim/lab",)
         entered.close()
         await peers.settle()
-        assert getattr(peers, end).nodes() == ()
+        assert at.nodes() == ()
 
     async def test_of_two_nodes_of_one_name_each_is_in_the_graph(self, peers):
         first, _ = peers.here.enter("/lab"), peers.there.enter("/lab")
@@ -534,10 +527,9 @@ class TransportConformance:
         await peers.settle()
         assert peers.here.nodes() == ("/lab",)
 
-    @BOTH_WAYS
     @EACH_KIND
-    async def test_opening_and_closing_an_endpoint_is_a_change(self, peers, kind, end):
-        graph = getattr(peers, end)
+    async def test_opening_and_closing_an_endpoint_is_a_change(self, peers, kind, at):
+        graph = at
         counts = [graph.changes]
         async with running(graph.wait_for_change) as waiting:
             assert not waiting.done.is_set()
@@ -552,19 +544,18 @@ class TransportConformance:
         assert counts[0] < counts[1] < graph.changes
 
     async def test_as_long_as_nothing_changes_no_change_is_counted(self, peers):
-        caller = await served(peers, Adder(), "here", by="there")
+        caller = await served(peers, Adder(), peers.here, by=peers.there)
         before = peers.here.changes, peers.there.changes
         await caller.call(numbers(1))
         await peers.settle()
         assert (peers.here.changes, peers.there.changes) == before
 
-    @BOTH_WAYS
-    async def test_a_node_that_comes_or_goes_is_a_change(self, peers, end):
-        async with running(getattr(peers, end).wait_for_change) as waiting:
+    async def test_a_node_that_comes_or_goes_is_a_change(self, peers, at):
+        async with running(at.wait_for_change) as waiting:
             entered = peers.here.enter("/lab")
             await waiting.done.wait()
         await peers.settle()
-        async with running(getattr(peers, end).wait_for_change) as waiting:
+        async with running(at.wait_for_change) as waiting:
             assert not waiting.done.is_set()
             entered.close()
             await waiting.done.wait()
@@ -648,17 +639,15 @@ class TransportConformance:
 
     # calls
 
-    @BOTH_WAYS
-    async def test_a_call_gets_the_servers_reply(self, peers, end):
-        caller = await served(peers, Adder(), end)
+    async def test_a_call_gets_the_servers_reply(self, peers, at):
+        caller = await served(peers, Adder(), at)
         reply = await caller.call(numbers(2, 3))
         assert (reply.message, reply.note) == (Sum.Response(total=5), "added up")
 
-    @BOTH_WAYS
-    async def test_a_caller_is_served_while_a_server_is_open(self, peers, end):
+    async def test_a_caller_is_served_while_a_server_is_open(self, peers, at):
         caller = peers.here.join(client(), ASKING)
         seen = [caller.is_served]
-        offered = getattr(peers, end).serve(service(), SERVING, Adder())
+        offered = at.serve(service(), SERVING, Adder())
         await peers.settle()
         seen.append(caller.is_served)
         offered.close()
@@ -677,11 +666,10 @@ class TransportConformance:
             await waiting.done.wait()
         assert (await caller.call(numbers(1))).message == Sum.Response(total=1)
 
-    @BOTH_WAYS
-    async def test_several_calls_are_under_way_at_once(self, peers, end):
+    async def test_several_calls_are_under_way_at_once(self, peers, at):
         gate = anyio.Event()
         adder = Adder(gate=gate)
-        caller = await served(peers, adder, end)
+        caller = await served(peers, adder, at)
         async with (
             running(lambda: caller.call(numbers(1))) as one,
             running(lambda: caller.call(numbers(2))) as other,
@@ -691,9 +679,8 @@ class TransportConformance:
             gate.set()
         assert (one.value.message.total, other.value.message.total) == (1, 2)
 
-    @BOTH_WAYS
-    async def test_a_server_knows_its_callers_apart(self, peers, end):
-        getattr(peers, end).serve(service(), SERVING, adder := Adder())
+    async def test_a_server_knows_its_callers_apart(self, peers, at):
+        at.serve(service(), SERVING, adder := Adder())
         one, other = (peers.here.join(client(), ASKING) for _ in range(2))
         await peers.settle()
         for caller in (one, other, one):
@@ -701,9 +688,8 @@ class TransportConformance:
         first, second, third = adder.callers
         assert (len(first), first == third, first == second) == (16, True, False)
 
-    @BOTH_WAYS
-    async def test_a_server_is_told_of_a_caller_that_leaves(self, peers, end):
-        getattr(peers, end).serve(service(), SERVING, adder := Adder())
+    async def test_a_server_is_told_of_a_caller_that_leaves(self, peers, at):
+        at.serve(service(), SERVING, adder := Adder())
         caller, _ = (peers.here.join(client(), ASKING) for _ in range(2))
         await peers.settle()
         await caller.call(numbers())
@@ -713,11 +699,10 @@ class TransportConformance:
         await peers.settle()
         assert adder.lost == adder.callers
 
-    @BOTH_WAYS
-    async def test_a_caller_that_is_closed_leaves_when_its_calls_are_over(self, peers, end):
+    async def test_a_caller_that_is_closed_leaves_when_its_calls_are_over(self, peers, at):
         gate = anyio.Event()
         adder = Adder(gate=gate)
-        caller = await served(peers, adder, end)
+        caller = await served(peers, adder, at)
         async with running(lambda: caller.call(numbers(4))) as called:
             await peers.settle()
             caller.close()
@@ -733,24 +718,21 @@ class TransportConformance:
         with pytest.raises(ServerUnavailable, match="service '/add': no server answers"):
             await caller.call(numbers())
 
-    @BOTH_WAYS
-    async def test_a_service_of_another_type_is_named(self, peers, end):
+    async def test_a_service_of_another_type_is_named(self, peers, at):
         other = service(type_name="lab_interfaces/srv/Other")
-        getattr(peers, end).serve(other, SERVING, Adder())
+        at.serve(other, SERVING, Adder())
         caller = peers.here.join(client(), ASKING)
         await peers.settle()
         said = r"served as lab_interfaces/srv/Other, not as lab_interfaces/srv/Sum"
         with pytest.raises(ServerUnavailable, match=said):
             await caller.call(numbers())
 
-    @BOTH_WAYS
-    async def test_a_handler_that_fails_says_why(self, peers, end):
-        caller = await served(peers, Adder(fail=ValueError("no room")), end)
+    async def test_a_handler_that_fails_says_why(self, peers, at):
+        caller = await served(peers, Adder(fail=ValueError("no room")), at)
         said = "service '/add': the handler failed: ValueError: no room"
         with pytest.raises(ServiceError, match=said):
             await caller.call(numbers())
 
-    @BOTH_WAYS
     @pytest.mark.parametrize(
         "error",
         [
@@ -760,16 +742,15 @@ class TransportConformance:
         ],
         ids=lambda error: type(error).__name__,
     )
-    async def test_what_a_handler_raises_on_purpose_comes_as_it_is(self, peers, end, error):
-        caller = await served(peers, Adder(fail=error), end)
+    async def test_what_a_handler_raises_on_purpose_comes_as_it_is(self, peers, at, error):
+        caller = await served(peers, Adder(fail=error), at)
         with pytest.raises(TurtleactError) as caught:
             await caller.call(numbers())
         assert (type(caught.value), caught.value.args) == (type(error), error.args)
 
-    @BOTH_WAYS
-    async def test_a_service_that_closes_still_answers_what_is_under_way(self, peers, end):
+    async def test_a_service_that_closes_still_answers_what_is_under_way(self, peers, at):
         gate = anyio.Event()
-        offered = getattr(peers, end).serve(service(), SERVING, Adder(gate=gate))
+        offered = at.serve(service(), SERVING, Adder(gate=gate))
         caller = peers.here.join(client(), ASKING)
         await peers.settle()
         async with running(lambda: caller.call(numbers(4))) as called:
@@ -779,10 +760,9 @@ class TransportConformance:
             gate.set()
         assert called.value.message == Sum.Response(total=4)
 
-    @BOTH_WAYS
-    async def test_a_call_that_is_canceled_harms_no_other(self, peers, end):
+    async def test_a_call_that_is_canceled_harms_no_other(self, peers, at):
         gate = anyio.Event()
-        caller = await served(peers, Adder(gate=gate), end)
+        caller = await served(peers, Adder(gate=gate), at)
         async with (
             running(lambda: caller.call(numbers(1))) as one,
             running(lambda: caller.call(numbers(2))) as other,
@@ -807,37 +787,31 @@ class TransportConformance:
         await publication.drained()
         assert not publication.is_congested
 
-    @BOTH_WAYS
-    async def test_a_source_is_told_of_its_first_and_last_reader(self, peers, end):
+    async def test_a_source_is_told_of_its_first_and_last_reader(self, peers, at):
         source = Numbers()
         peers.here.advertise(publisher(), SPEECH, source)
         for _ in range(2):
-            opened = [
-                getattr(peers, end).subscribe(subscription(), SPEECH, Inbox().deliver)
-                for _ in range(2)
-            ]
+            opened = [at.subscribe(subscription(), SPEECH, Inbox().deliver) for _ in range(2)]
             await peers.settle()
             for each in opened:
                 each.close()
             await peers.settle()
         assert source.told == [True, False, True, False]
 
-    @BOTH_WAYS
-    async def test_a_late_reader_gets_what_a_source_makes(self, peers, end):
+    async def test_a_late_reader_gets_what_a_source_makes(self, peers, at):
         source = Numbers()
         publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
         source.number = 5
         publication.refresh()
         await peers.settle()
-        getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver)
+        at.subscribe(subscription(qos=LATCHED), SPEECH, (inbox := Inbox()).deliver)
         await peers.settle()
         assert inbox.numbers[-1:] == [5]
 
-    @BOTH_WAYS
-    async def test_a_reader_is_sent_what_a_source_has_changed(self, peers, end):
+    async def test_a_reader_is_sent_what_a_source_has_changed(self, peers, at):
         source, inbox = Numbers(), Inbox()
         publication = peers.here.advertise(publisher(qos=LATCHED), SPEECH, source)
-        getattr(peers, end).subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
+        at.subscribe(subscription(qos=LATCHED), SPEECH, inbox.deliver)
         await peers.settle()
         source.number = 5
         publication.refresh()

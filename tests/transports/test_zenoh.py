@@ -75,6 +75,7 @@ from .conformance import (
     TransportConformance,
     client,
     connected,
+    listen,
     numbers,
     publisher,
     say,
@@ -384,8 +385,7 @@ async def test_messages_that_a_publisher_counted_and_that_did_not_arrive_are_tol
 
 async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(address, caplog):
     async with beside(address) as (transport, other):
-        inbox = Inbox()
-        transport.subscribe(subscription(), SPEECH, inbox.deliver)
+        inbox = listen(transport)
         sender = await anyio.to_thread.run_sync(other.publisher, CHATTER_KEY)
         sender.put(b"no message", b"")
         sender.put(SPEECH.encode(feedback(7)), b"")
@@ -543,8 +543,7 @@ async def test_another_domain_is_another_graph(address):
         open_zenoh([address], listen=[], domain=2) as there,
         acquainted(here, there) as meet,
     ):
-        inbox = Inbox()
-        there.subscribe(subscription(), SPEECH, inbox.deliver)
+        listen(there)
         publication = here.advertise(publisher(), SPEECH)
         await meet()
         assert (len(here.endpoints()), len(there.endpoints())) == (1, 1)
@@ -894,7 +893,7 @@ async def test_what_is_sent_between_two_messages_keeps_its_place(peers, monkeypa
 
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(peers, monkeypatch):
     monkeypatch.setattr(services, "LOST", 0.0)
-    caller = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
+    caller = await served(peers, Adder(gate=anyio.Event()), peers.here, by=peers.there)
     async with running(lambda: caller.call(numbers(1))) as called:
         await peers.settle()
         caller.close()
@@ -951,8 +950,7 @@ async def test_who_publishes_without_end_loses_the_oldest(
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.topics.CAPACITY", 100_000)
     gate, qos = threading.Event(), QoS(depth=3, reliability=reliability)
     async with two(address) as peers:
-        inbox = Inbox()
-        peers.there.subscribe(subscription(qos=qos), SPEECH, inbox.deliver)
+        inbox = listen(peers.there, subscription(qos=qos))
         publication = peers.here.advertise(publisher(qos=qos), SPEECH)
         await peers.settle()
         peers.here.context.send_queue.post(gate.wait)
