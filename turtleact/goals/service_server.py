@@ -101,8 +101,6 @@ class ServiceType(Protocol[ReqMade, ResMade]):
 class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
     """Handles the requests of one service, from clients in this process and in others.
 
-    Transports, and clients in the same process, call this object.
-
     Raises:
         InvalidOption: if the handler is not a function, or is a generator function.
 
@@ -137,10 +135,9 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         """Whether no request is being handled."""
         return not self._calls
 
-    async def answer(self, request: object, caller: bytes = b"") -> Res:
-        """Handle a request and return its response.
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Handle a request and return its response. ``caller`` is the gid of the client.
 
-        ``caller`` is the gid of the client if it is in another process, and empty otherwise.
         If this call is cancelled, it cancels the handler and waits for the handler to end, for at
         most `GRACE` seconds.
 
@@ -161,11 +158,7 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
             call.task.cancel()
             await wait_while(lambda: call in self._calls, call.changed, GRACE)
             raise
-        return cast("Res", call.outcome.result())
-
-    async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request from another process with the response that `answer` returns."""
-        return Reply(await self.answer(request, caller))
+        return Reply(call.outcome.result())
 
     def caller_lost(self, caller: bytes) -> None:
         """Cancel the handlers of a client that has gone. ``caller`` is the client's gid."""
@@ -231,8 +224,7 @@ class _Call:
 
     Attributes:
         request: A checked copy of the request.
-        caller: The gid of the request's client in another process; empty for a client in this
-            process.
+        caller: The gid of the request's client.
         changed: A signal that fires when the call is answered, and when the handler has ended.
         outcome: The response, or the error that the caller gets.
         task: The task of the handler.

@@ -99,9 +99,8 @@ class ServiceClient(Generic[Req, Res]):
         self._membership = owner.add(self, caller)
         self._home = owner.home.of(f"the client of service '{name}'")
         self._tasks = tasks
-        self._found: LocalServiceServer[Req, Res] | None = None
         self._is_open = True
-        self._calls = 0  # to servers that are not called directly
+        self._calls = 0  # under way
         self._check_request = checker(service_type.Request, "request")
 
     async def call(self, request: Req, timeout: float | None = None) -> Res:
@@ -168,13 +167,7 @@ class ServiceClient(Generic[Req, Res]):
             self._caller.observer.close()
 
     async def _answer(self, request: object) -> object:
-        """Call the server in this process directly, or send the request with the transport."""
-        server = self._found
-        if server is None or not server.is_open:
-            await find_server(self._transport, self._find)
-            server = self._found = self._find_local()
-        if server is not None:
-            return await server.answer(request)
+        await find_server(self._transport, self._find)
         self._calls += 1
         try:
             return (await self._caller.call(self._check_request(request))).message
@@ -185,16 +178,5 @@ class ServiceClient(Generic[Req, Res]):
             self._calls -= 1
             self._close_observer()
 
-    def _find_local(self) -> LocalServiceServer[Req, Res] | None:
-        """Return the server in this process if the client can call it directly.
-
-        Return None if this process has no such server, or if an observer needs the requests to be
-        sent as messages.
-        """
-        found = self._transport.local(self.name, self.service_type.type_name)
-        if not isinstance(found, LocalServiceServer) or self._caller.observer is not None:
-            return None
-        return found if found.observer is None else None
-
     def _find(self) -> object | None:
-        return self._find_local() or (self._caller if self._caller.is_served else None)
+        return self._caller if self._caller.is_served else None
