@@ -164,7 +164,7 @@ class Lab(NamedTuple):
 def local_server(server: turtleact.ActionServer[Any, Any, Any]) -> LocalActionServer:
     """The server object that clients in the same process use."""
     name, type_name = f"{server.name}/_action/send_goal", f"{server.action_type.type_name}_SendGoal"
-    offered: Any = server.node.transport.local(name, type_name)
+    (offered,) = server.node.transport.local(name, type_name)
     return cast("LocalActionServer", offered.direct)
 
 
@@ -187,8 +187,9 @@ class Apart:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._transport, name)
 
-    def local(self, name: str, type_name: str) -> None:
+    def local(self, name: str, type_name: str) -> tuple[()]:
         """There is none in this process."""
+        return ()
 
 
 @asynccontextmanager

@@ -429,7 +429,7 @@ async def test_the_goal_of_a_client_elsewhere_that_goes_while_the_callback_is_as
 
     def send(number: int):
         request = types.send_goal.Request(goal_id=UUID(bytes([number] * 16)), goal=goal(number))
-        offered = served.node.transport.local(
+        (offered,) = served.node.transport.local(
             "/count/_action/send_goal", f"{Count.type_name}_SendGoal"
         )
         return cast("Any", offered).reply(request, bytes([number] * 16))

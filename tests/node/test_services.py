@@ -84,7 +84,7 @@ async def desk(
     """A node that serves `Add` with this handler, and a client of it."""
     async with turtleact.open_node("desk", transport=transport) as node:
         server = node.service(Add, "add", handler)
-        local = node.transport.local("/add", Add.type_name)
+        (local,) = node.transport.local("/add", Add.type_name)
         yield Desk(node, server, node.service_client(Add, "add"), local)
 
 

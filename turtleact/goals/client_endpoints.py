@@ -159,8 +159,8 @@ class ClientEndpoints:
         if self._introspection != "off":  # the requests are published, so they must be sent
             return None
         type_name = f"{self.action_type.type_name}_SendGoal"
-        handler = self.transport.local(self._names.send_goal, type_name)
-        return None if handler is None else cast("GoalServer | None", handler.direct)
+        handlers = self.transport.local(self._names.send_goal, type_name)
+        return cast("GoalServer | None", handlers[0].direct) if handlers else None
 
     async def wait_until_served(self) -> None:
         """Wait until the action has a server on the graph. Cancelling: safe."""

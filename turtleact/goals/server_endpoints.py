@@ -228,7 +228,7 @@ class ActionEndpoints:
         """Cancel goals of all servers in this process that serve an action of this name."""
         goal_id, stamp = request.goal_info.goal_id.uuid, nanoseconds(request.goal_info.stamp)
         # A node may serve several types under one name, and a cancel request names no type.
-        handlers = self._transport.all_local(self._names.cancel_goal, CancelGoal.type_name)
+        handlers = self._transport.local(self._names.cancel_goal, CancelGoal.type_name)
         servers = [each.server for each in handlers if isinstance(each, _ActionService)]
         return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
 

@@ -130,7 +130,7 @@ class Rivals:
 
     def _is_local(self, type_name: str) -> bool:
         """Whether this process serves the action with the type ``type_name``."""
-        return self._transport.local(self._service, type_name) is not None
+        return bool(self._transport.local(self._service, type_name))
 
 
 class ServedName:

@@ -303,7 +303,7 @@ class _ClientSpans(_Spans):
     def enter_call(self, request: GoalRequest) -> None:
         """Begin a goal's span, and make it the current span while the goal is sent."""
         context = _current()
-        is_near = self._transport.local(*self._service) is not None
+        is_near = bool(self._transport.local(*self._service))
         kind = SpanKind.INTERNAL if is_near else SpanKind.CLIENT
         span = self._tracer.start_span(self._name, context, kind, self._attributes)
         if not span.get_span_context().is_valid:  # without an SDK

@@ -181,18 +181,8 @@ class FaultyTransport:
         """
         return self._transport.join(endpoint, format, target)
 
-    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
-        """Return all handlers in this process that serve a service.
-
-        This works even while the link is cut.
-        """
-        return self._transport.all_local(name, type_name)
-
-    def local(self, name: str, type_name: str) -> ServiceHandler | None:
-        """Return the oldest handler in this process that serves a service.
-
-        This works even while the link is cut.
-        """
+    def local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
+        """Return all handlers in this process that serve a service, even while the link is cut."""
         return self._transport.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:

@@ -14,9 +14,9 @@ them. A transport guarantees:
 - Two endpoints of the same name and type communicate even if their QoS policies differ.
 - Every call ends, either with a reply or with an error that says why there is none.
 
-A client in the same process as a server may get the server's `ServiceHandler` from
-`Transport.local` and call it directly, so no request passes through the transport. All other
-clients call it through the `Caller` that `Transport.join` returns.
+An action client in the same process as a server gets the server itself from `Transport.local` and
+`ServiceHandler.direct`, so no request passes through the transport. All other clients call a
+service through the `Caller` that `Transport.join` returns.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -506,16 +506,13 @@ class Transport(Protocol):
         these tasks finish. Closing the transport cancels the tasks of all requests.
 
         If a node offers several handlers of a service, other processes see only one server, so that
-        no client gets two replies. The oldest handler answers. `all_local` returns every handler.
+        no client gets two replies. The oldest handler answers. `local` returns every handler.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Add a service client to the graph, and return the object that calls the service."""
 
-    def local(self, name: str, type_name: str) -> ServiceHandler | None:
-        """The oldest handler that serves a service in this process; None if there is none."""
-
-    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
+    def local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service in this process, in the order they were offered."""
 
     def enter(self, node: str) -> Closeable:

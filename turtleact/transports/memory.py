@@ -145,12 +145,7 @@ class MemoryTransport:
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
-    def local(self, name: str, type_name: str) -> ServiceHandler | None:
-        """The oldest handler that serves a service; None if there is none."""
-        offers = self._handlers.get((name, type_name))
-        return offers[0].handler if offers else None
-
-    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
+    def local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service, oldest first."""
         return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
 
@@ -442,7 +437,8 @@ class _Caller:
             self.on_close()
 
     def _handler(self) -> ServiceHandler | None:
-        return self._transport.local(self.endpoint.name, self.endpoint.type_name)
+        handlers = self._transport.local(self.endpoint.name, self.endpoint.type_name)
+        return handlers[0] if handlers else None
 
 
 class _Offer(msgspec.Struct, eq=False):

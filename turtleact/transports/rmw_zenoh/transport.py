@@ -154,12 +154,8 @@ class ZenohTransport:
         named = self._name(endpoint, format)
         return WireCaller(self.context, named, format, target, self._calls)
 
-    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
-        """All handlers that serve a service in this process."""
-        return self._near.all_local(name, type_name)
-
-    def local(self, name: str, type_name: str) -> ServiceHandler | None:
-        """The oldest handler that serves a service in this process; None if there is none."""
+    def local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
+        """All handlers that serve a service in this process, oldest first."""
         return self._near.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
