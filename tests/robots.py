@@ -19,9 +19,10 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.learned import describe
 from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
-from turtleact.interfaces.types import REGISTRY
 from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler
+
+from .registry import isolated_registry
 
 FILES = {
     "action/Dig.action": """# Digs a hole.
@@ -62,7 +63,7 @@ class Robot(ServiceHandler):
         self._answers: dict[str, Any] = {}
         self._hashes: dict[str, str] = {}
         self._kinds: dict[str, type] = {}
-        with REGISTRY.isolated():
+        with isolated_registry():
             for name in load_interfaces(folder):
                 self._describe(get_interface(name))
         name = f"{node}/get_type_description"

@@ -14,12 +14,13 @@ from turtleact import open_world
 from turtleact.commands import VERBS, app, completion, graph
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
-from turtleact.interfaces.types import REGISTRY
 from turtleact.testing import run
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind
 from turtleact.transports.rmw_zenoh import session
 from turtleact.transports.rmw_zenoh.wire import Graph, endpoint_token, node_token
+
+from ..registry import isolated_registry
 
 ON_THE_GRAPH: list[tuple[EndpointKind, str, str]] = [
     ("publisher", "/turtle1/pose", "turtlesim/msg/Pose"),
@@ -130,7 +131,7 @@ def yard(tmp_path, monkeypatch):
     (tmp_path / "yard" / "pyproject.toml").write_text("[project.scripts]\ngo = 'yard.go:main'\n")
     (tmp_path / "yell.py").touch()
     monkeypatch.chdir(tmp_path)
-    with REGISTRY.isolated():
+    with isolated_registry():
         yield
 
 

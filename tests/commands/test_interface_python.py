@@ -7,11 +7,13 @@ import pytest
 from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY
 
+from ..registry import isolated_registry
+
 
 @pytest.fixture(autouse=True)
 def own_registry(monkeypatch):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    with REGISTRY.isolated():
+    with isolated_registry():
         REGISTRY.look_in(Finders())
         yield
 
@@ -40,7 +42,7 @@ def generate(turtleact, source, tmp_path):
     def run(*arguments):
         folder = str(tmp_path / "generated")
         named = ("interface", "python", "arm_interfaces", "--interfaces", str(source))
-        with REGISTRY.isolated():  # a process of its own would begin with none of these
+        with isolated_registry():  # a process of its own would begin with none of these
             return turtleact(*named, "-o", folder, *arguments)
 
     return run

@@ -12,6 +12,8 @@ import turtleact.actions  # noqa: F401  # for the interfaces that they declare
 from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY
 
+from ..registry import isolated_registry
+
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
 SHOWN = [case for case in GOLDEN if " interface show " in case["command"]]
 
@@ -19,7 +21,7 @@ SHOWN = [case for case in GOLDEN if " interface show " in case["command"]]
 @pytest.fixture(autouse=True)
 def own_registry(monkeypatch):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    with REGISTRY.isolated():
+    with isolated_registry():
         REGISTRY.look_in(Finders())
         yield
 

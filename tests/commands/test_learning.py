@@ -8,9 +8,9 @@ import signal
 import pytest
 
 from turtleact.commands import send_goal
-from turtleact.interfaces.types import REGISTRY
 
 from ..lab import free_endpoint
+from ..registry import isolated_registry
 from ..robots import FILES, write_package
 
 ROBOT = """
@@ -102,7 +102,7 @@ def test_definitions_that_differ_are_told_before_the_timeout(turtleact, robot, c
     file.parent.mkdir(parents=True)
     file.write_text("string where\n---\n---\n")
     monkeypatch.setattr(send_goal, "PATIENCE", 1.0)
-    with REGISTRY.isolated():
+    with isolated_registry():
         ran = turtleact("send-goal", "/dig", "-t", "0.1", "--no-learn", "--connect", robot)
     assert (ran.status, "the definitions of robot_msgs/action/Dig differ" in ran.err) == (1, True)
 

@@ -9,17 +9,16 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from turtleact.interfaces.types import REGISTRY
-
 from .. import warm
 from ..lab import free_endpoint
+from ..registry import isolated_registry
 
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    with REGISTRY.isolated():
+    with isolated_registry():
         yield tmp_path
 
 

@@ -28,10 +28,10 @@ from typing import NamedTuple
 import pytest
 
 import turtleact
-from turtleact.interfaces.types import REGISTRY
 
 from .. import warm
 from ..lab import free_endpoint
+from ..registry import isolated_registry
 
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCK = re.compile(r"^<!-- (save|terminal) (.*?) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -131,7 +131,7 @@ class Terminals:
             else:
                 is_local = arguments[0] in {"interface", "pkg"}
                 reach = () if is_local else ("--connect", self.address)
-                with REGISTRY.isolated():  # each command knows only what it finds itself
+                with isolated_registry():  # each command knows only what it finds itself
                     ran = self.turtleact(*arguments, *reach)
                 check(ran.err + ran.out, shown)
         if not where.endswith("meanwhile"):

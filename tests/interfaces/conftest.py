@@ -10,11 +10,12 @@ from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY
 
 from ..conftest import COLLECTED
+from ..registry import isolated_registry
 
 
 @pytest.fixture(autouse=True)
 def own_registry() -> Iterator[None]:
-    with REGISTRY.isolated():
+    with isolated_registry():
         REGISTRY.look_in(Finders())
         for name in REGISTRY.names():  # what pages and examples have defined in this process
             if name.startswith("example_msgs/") and name not in COLLECTED:

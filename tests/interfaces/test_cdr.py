@@ -28,7 +28,6 @@ from turtleact.interfaces import (
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm
 from turtleact.interfaces.standard import UUID, GoalInfo, Point, Time
 from turtleact.interfaces.types import (
-    REGISTRY,
     Action,
     Message,
     Service,
@@ -53,6 +52,7 @@ from turtleact.interfaces.types import (
     wstring,
 )
 
+from ..registry import isolated_registry
 from ..tables import together
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def recorded(name: str) -> list[dict[str, Any]]:
 @functools.cache
 def recorded_types() -> dict[str, Any]:
     """The types of all messages that are recorded, by name."""
-    with REGISTRY.isolated():
+    with isolated_registry():
         load_interfaces(HERE / "golden")
         names = {entry["type"] for entry in (*recorded("cdr.json"), *FAST_CDR)}
         return {name: get_interface(name) for name in names}

@@ -34,6 +34,8 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.interfaces.types import REGISTRY, definition, fields, nested_classes
 
+from ..registry import isolated_registry
+
 GOLDEN = Path(__file__).parent / "golden"
 
 
@@ -66,7 +68,7 @@ class Drill(Action, type_name="example_msgs/action/Drill"):
 
 @pytest.fixture(scope="module")
 def golden_finders() -> Finders:
-    with REGISTRY.isolated():
+    with isolated_registry():
         load_interfaces(GOLDEN)
         return REGISTRY.finders
 

@@ -21,12 +21,14 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.loading import commented_text, comments
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import REGISTRY, definition
+from turtleact.interfaces.types import definition
+
+from ..registry import isolated_registry
 
 
 @pytest.fixture(autouse=True)
 def own_registry():
-    with REGISTRY.isolated():
+    with isolated_registry():
         yield
 
 

@@ -14,8 +14,9 @@ import pytest
 from turtleact.errors import InvalidInterface
 from turtleact.interfaces import get_interface, load_interfaces, type_hash
 from turtleact.interfaces.generator import generate
-from turtleact.interfaces.types import REGISTRY, definition, fields
+from turtleact.interfaces.types import definition, fields
 
+from ..registry import isolated_registry
 from ..tables import together
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -76,7 +77,7 @@ def classes(golden, monkeypatch):
 @pytest.fixture(scope="module")
 def loaded():
     """The recorded interfaces as classes made at run time, by name."""
-    with REGISTRY.isolated():
+    with isolated_registry():
         load_interfaces(GOLDEN)
         return {name: get_interface(name) for name in NAMES if name not in MISSING}
 

@@ -21,8 +21,8 @@ from turtleact.interfaces import (
     type_hash,
     wstring,
 )
-from turtleact.interfaces.types import REGISTRY
 
+from ..registry import isolated_registry
 from ..tables import together
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -80,7 +80,7 @@ def hash_of(text: str, type_name: str = "example_msgs/msg/Sample") -> str:
 
 @pytest.fixture(scope="module")
 def recorded_interfaces():
-    with REGISTRY.isolated():
+    with isolated_registry():
         load_interfaces(GOLDEN)
         return {name: get_interface(name) for name in RECORDED}
 

@@ -26,6 +26,7 @@ from turtleact.interfaces.types import REGISTRY
 from turtleact.transports import Transport, open_zenoh
 from turtleact.transports.base import Endpoint, RawFormat, Reply, ServiceHandler
 
+from ..registry import isolated_registry
 from .conftest import Ros
 
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -115,7 +116,7 @@ def robot(ros: Ros) -> Iterator[Robot]:
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with REGISTRY.isolated():
+    with isolated_registry():
         REGISTRY.forget(FIBONACCI)  # another test has a class of this name
         yield
 

@@ -26,8 +26,9 @@ from turtleact.interfaces import (
     type_hash,
 )
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm, FieldType
-from turtleact.interfaces.types import REGISTRY, nested_classes
+from turtleact.interfaces.types import nested_classes
 
+from ..registry import isolated_registry
 from .conftest import Ros
 
 ROUNDS = 5
@@ -57,7 +58,7 @@ class Compared(NamedTuple):
 @pytest.fixture(scope="module")
 def compared(ros: Ros) -> Iterator[Compared]:
     """All types that this ROS 2 has as files, in one run of its Python."""
-    with REGISTRY.isolated():
+    with isolated_registry():
         shipped = {name: type_hash(get_interface(name)) for name in known_interfaces()}
         names = sorted({name for prefix in ros.prefixes for name in load_interfaces(prefix)})
         chance = random.Random(44)  # the same messages in every run

@@ -7,10 +7,10 @@ import json
 import pytest
 
 import turtleact
-from turtleact.interfaces.types import REGISTRY
 from turtleact.mcp import open_mcp
 from turtleact.transports import MemoryTransport
 
+from ..registry import isolated_registry
 from ..robots import Robot, write_package
 from .line import client_of
 
@@ -18,7 +18,7 @@ from .line import client_of
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with REGISTRY.isolated():
+    with isolated_registry():
         yield
 
 

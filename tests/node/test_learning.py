@@ -27,6 +27,7 @@ from turtleact.interfaces.types import REGISTRY
 from turtleact.transports import MemoryTransport
 
 from ..lab import free_endpoint
+from ..registry import isolated_registry
 from ..robots import FILES, Robot, write_package
 
 DIG = "robot_msgs/action/Dig"
@@ -37,7 +38,7 @@ BATTERY = "robot_msgs/msg/Battery"
 def empty_cache(tmp_path, monkeypatch):
     """A cache of this test alone, and a registry that forgets what the test learns."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with REGISTRY.isolated():
+    with isolated_registry():
         yield tmp_path / "cache" / "turtleact" / "types"
 
 

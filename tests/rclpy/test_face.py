@@ -10,6 +10,8 @@ from turtleact.errors import UsageError
 from turtleact.rclpy.face import chosen_face
 from turtleact.rclpy.program import Options, offer_neighbours, prepare
 
+from ..registry import isolated_registry
+
 
 @pytest.fixture
 def genuine(tmp_path, monkeypatch):
@@ -64,12 +66,11 @@ def test_ours_can_be_asked_for(genuine):
 
 def test_interfaces_are_found_above_a_program_where_there_is_a_src(tmp_path, monkeypatch):
     from turtleact.interfaces import get_message
-    from turtleact.interfaces.types import REGISTRY
 
     file = tmp_path / "src" / "hall_interfaces" / "msg" / "Door.msg"
     file.parent.mkdir(parents=True)
     file.write_text("bool open\n")
     monkeypatch.chdir("/")
-    with REGISTRY.isolated():
+    with isolated_registry():
         offer_neighbours(tmp_path / "src" / "hall" / "hall")
         assert get_message("hall_interfaces/msg/Door")().open is False

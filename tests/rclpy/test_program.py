@@ -8,10 +8,11 @@ import sys
 
 import pytest
 
-from turtleact.interfaces.types import REGISTRY
 from turtleact.rclpy import ament_index, program
 from turtleact.rclpy.__main__ import main
 from turtleact.rclpy.face import SETTINGS
+
+from ..registry import isolated_registry
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def run(tmp_path, monkeypatch):
 
     def run(*arguments: str) -> None:
         monkeypatch.setattr("sys.argv", ["turtleact.rclpy", *arguments])
-        with REGISTRY.isolated():
+        with isolated_registry():
             main()
 
     yield run

@@ -17,6 +17,8 @@ from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.interfaces.types import REGISTRY
 from turtleact.transports.base import STATUS_QOS
 
+from ..registry import isolated_registry
+
 pytestmark = pytest.mark.loops("asyncio")
 
 
@@ -119,7 +121,7 @@ async def test_the_reasons_of_goals_in_another_process_are_recorded(tmp_path):
 
 
 async def test_a_type_that_the_recorder_does_not_know_is_recorded_as_bytes(tmp_path):
-    with REGISTRY.isolated():
+    with isolated_registry():
         odd = load_message("int32 number", type_name="lab_msgs/msg/Odd")
         async with two_nodes() as (talker, recorder):
             said = talker.publisher(odd, "/odd")

@@ -17,7 +17,6 @@ from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import Twist, Vector3
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.interfaces.standard.std_msgs.msg import String
-from turtleact.interfaces.types import REGISTRY
 from turtleact.recording import Bag, BagError, Selection
 from turtleact.recording.bag_writer import BagWriter, Output, Split, convert
 from turtleact.recording.schemas import Schema
@@ -27,6 +26,7 @@ from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import STATUS_QOS
 
+from ..registry import isolated_registry
 from .bags import POSE, START, STEP, by_rosbags, channel, fill, message, opened, write_bag
 
 
@@ -292,7 +292,7 @@ async def test_without_a_server_the_reason_is_counted(node, tmp_path):
 
 async def test_a_goal_with_other_fields_is_counted_and_not_sent(node, tmp_path):
     await record_goals(node, tmp_path / "first")
-    with REGISTRY.isolated():
+    with isolated_registry():
 
         class Renamed(turtleact.Action, type_name=Fibonacci.type_name):
             class Goal(turtleact.Message):

@@ -18,9 +18,9 @@ from turtleact.interfaces import (
     string,
 )
 from turtleact.interfaces.classes import event_message
-from turtleact.interfaces.types import REGISTRY
 from turtleact.recording.schemas import SEPARATOR, Schema, class_of, schema_of
 
+from ..registry import isolated_registry
 from .bags import FEEDBACK, POSE
 
 
@@ -107,7 +107,7 @@ def test_without_a_text_the_hash_decides():
 
 
 def test_a_default_that_no_text_can_hold_is_left_out():
-    with REGISTRY.isolated():
+    with isolated_registry():
 
         class Odd(Message, type_name="lab_msgs/msg/Odd"):
             text: string = "a\nb"

@@ -42,7 +42,6 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.interfaces.standard.rcl_interfaces.srv import ListParameters
-from turtleact.interfaces.types import REGISTRY
 from turtleact.names import PARAMETER_SERVICES
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, ServiceHandler, Target
@@ -61,6 +60,7 @@ from turtleact.transports.rmw_zenoh.wire import (
 
 from .. import warm
 from ..lab import Count, Gate, count, feedback, goal, result, running, settle
+from ..registry import isolated_registry
 from ..robots import Robot, write_package
 from .conformance import (
     ASKING,
@@ -1330,7 +1330,7 @@ async def test_a_discovery_without_a_length_is_refused(discovery):
 
 
 async def test_actions_whose_definitions_differ_are_named_before_the_discovery_ends(address):
-    with REGISTRY.isolated():
+    with isolated_registry():
 
         class Longer(Action, type_name=Count.type_name):
             class Goal(Message):
@@ -1368,7 +1368,7 @@ async def test_a_description_of_more_than_4_mb_is_refused_before_it_is_decoded(a
 
 
 async def test_the_first_field_in_which_services_differ_is_named(address):
-    with REGISTRY.isolated():
+    with isolated_registry():
 
         class Wider(Service, type_name=Sum.type_name):
             class Request(Message):

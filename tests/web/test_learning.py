@@ -8,20 +8,20 @@ import pytest
 
 import turtleact
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.interfaces.types import REGISTRY
 from turtleact.transports import MemoryTransport
 from turtleact.web import open_bridge
 from turtleact.web.name_lookup import action_class, class_of_action
 from turtleact.web.rosapi import typedefs
 
 from ..lab import take_turns
+from ..registry import isolated_registry
 from ..robots import Robot, write_package
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with REGISTRY.isolated():
+    with isolated_registry():
         yield
 
 

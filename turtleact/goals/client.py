@@ -111,7 +111,7 @@ class ActionClient(Generic[G, R, F]):
         self.is_open = True
         self.observers = _ClientObservers(self)
         self._endpoints = endpoints
-        self._membership = owner.add(self, endpoints)
+        self._membership = owner.add(self, endpoints.close)
         self._cancel_timeout = cancel_timeout
         self._home = home.of(f"the client of action '{self.name}'")
         self._tasks = tasks

@@ -15,9 +15,7 @@ Goal(order=0, name='turtle1')
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from copy import copy
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -57,7 +55,7 @@ from turtleact.interfaces.definition import (
 from turtleact.interfaces.finders import BUILT_IN, Finders
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from typing import Annotated as array
     from typing import Annotated as bounded
 
@@ -195,22 +193,10 @@ class Registry:
         """Return the type names of all registered classes."""
         return list(self._known)
 
-    @contextlib.contextmanager
-    def isolated(self) -> Iterator[None]:
-        """Forget, at the end of a block, everything that was registered inside the block.
-
-        Tests use this.
-        """
-        kept = {name: copy(value) for name, value in vars(self).items()}
-        try:
-            yield
-        finally:
-            vars(self).update(kept)
-
 
 #: The only registry of the process. It is global because a class statement has no other place to
 #: register its class, just as modules register in ``sys.modules``. It holds only classes and
-#: finders, nothing that belongs to a node or event loop. `Registry.isolated` resets it.
+#: finders, nothing that belongs to a node or event loop.
 REGISTRY = Registry()
 
 M = TypeVar("M", bound="Message")

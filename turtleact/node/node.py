@@ -244,7 +244,7 @@ class Node:
         server._take_name(on_conflict, again)
         self._servers_of[names.name][server] = None
         close = partial(self._stop_serving, server)
-        server._membership = self._resources.add_server("action server", server, close)
+        server._membership = self._resources.add(server, close, "action server")
         return server
 
     def on_transition(self, hook: Transition) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AsyncExitStack, contextmanager
-from typing import TypeVar
+from typing import TypeVar, cast
 from weakref import WeakValueDictionary
 
 import anyio
@@ -41,29 +41,16 @@ class Resources(Owner):
             "service server": WeakValueDictionary(),
         }
 
-    def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
-        """Track ``thing`` until the returned object is closed.
-
-        Closing the returned object also closes ``opened``, which removes ``thing`` from the
-        transport.
-        """
+    def add(
+        self, thing: AsyncCloseable, close: Callable[[], object], kind: ServerKind | None = None
+    ) -> Closeable:
+        """Track ``thing`` until the returned object is closed; see `Owner.add`."""
         self._count += 1
         self._opened[self._count] = thing
-        self._tell(thing)
-        return _Membership(opened.close, self._opened, self._count)
-
-    def add_server(
-        self, kind: ServerKind, server: Serving, close: Callable[[], object]
-    ) -> Closeable:
-        """Track a server until the returned object is closed.
-
-        Closing the returned object also calls ``close``, which must remove the server from the
-        graph.
-        """
-        self._count += 1
-        self._opened[self._count] = server
-        self._servers[kind][self._count] = server
-        self._tell(server)
+        if kind is not None:
+            self._servers[kind][self._count] = cast("Serving", thing)
+        for told in self._watchers:
+            told(thing)
         return _Membership(close, self._opened, self._count)
 
     def watch(self, told: Callable[[object], object]) -> None:
@@ -75,10 +62,6 @@ class Resources(Owner):
     def find(self, kind: type[T]) -> T | None:
         """Return the oldest open object of a class; None if there is none."""
         return next((each for each in self._opened.values() if isinstance(each, kind)), None)
-
-    def _tell(self, thing: object) -> None:
-        for told in self._watchers:
-            told(thing)
 
     def action_servers(self) -> list[object]:
         """The action servers, oldest first, including those that are closing."""

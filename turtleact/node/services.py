@@ -45,7 +45,7 @@ class ServiceServer(Generic[Req, Res]):
         self.name = local.name
         self.service_type = local.service_type
         self._local = local
-        self._membership = owner.add_server("service server", self, registration.close)
+        self._membership = owner.add(self, registration.close, "service server")
 
     @property
     def is_open(self) -> bool:
@@ -96,7 +96,7 @@ class ServiceClient(Generic[Req, Res]):
         self.service_type = service_type
         self._transport = transport
         self._caller = caller
-        self._membership = owner.add(self, caller)
+        self._membership = owner.add(self, caller.close)
         self._home = owner.home.of(f"the client of service '{name}'")
         self._tasks = tasks
         self._is_open = True

@@ -37,7 +37,7 @@ class Publisher(Generic[M]):
         self.is_open = True
         self._check = snapshotter(message_type)
         self._publication = publication
-        self._membership = owner.add(self, publication)
+        self._membership = owner.add(self, publication.close)
         self._home = owner.home.of(f"the publisher of topic '{topic}'")
 
     @property
@@ -130,7 +130,7 @@ class Subscription(Generic[M]):
         # Latched messages may come before this returns.
         deliver = cast("Deliver", self._deliver)
         subscribed = transport.subscribe(endpoint, WireFormat(message_type), deliver)
-        self._membership = owner.add(self, subscribed)
+        self._membership = owner.add(self, subscribed.close)
 
     def _deliver(self, message: M) -> None:
         """Queue a message. The transport calls this for each message."""

@@ -9,7 +9,6 @@ mapping, because its class is not known before.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Generator, Mapping
-from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypedDict, TypeVar
 
@@ -65,7 +64,7 @@ class Untyped(Generic[T]):
         self._opened: T | None = None
         self._lock = anyio.Lock()
         self._waits = set[anyio.CancelScope]()
-        self._membership = owner.add(self, ExitStack())  # it has no endpoint yet
+        self._membership = owner.add(self, lambda: None)  # it has no endpoint yet
 
     async def aclose(self) -> None:
         """Close this object. A second call does nothing."""

@@ -6,7 +6,6 @@ The program decides where traces and metrics go: it sets up an SDK with exporter
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from anyio import sleep_forever
@@ -64,7 +63,7 @@ def instrument(
     if not instruments.are_off:
         measure(node, instruments)
     watching = sleep_forever() if instruments.are_off else watch_loop(instruments)
-    resources.add(_Watching(watching, "measuring the event loop"), ExitStack())
+    resources.add(_Watching(watching, "measuring the event loop"), lambda: None)
 
 
 class _Watching(Background):

@@ -260,22 +260,20 @@ class Owner(Protocol):
 
     home: LoopGuard
 
-    def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
+    def add(
+        self, thing: AsyncCloseable, close: Callable[[], object], kind: ServerKind | None = None
+    ) -> Closeable:
         """Track an open object, so that the owner can close it when the owner is closed.
 
         Args:
             thing: The object that the user has opened, such as a subscription.
-            opened: The object that the transport has opened for ``thing``.
+            close: Removes ``thing`` from the transport.
+            kind: The kind of a server, which is a `Serving`; None for anything else.
 
         Returns:
             A `Closeable` that ``thing`` must close when ``thing`` is closed. Closing the
-            `Closeable` closes ``opened``, and the owner stops tracking ``thing``.
+            `Closeable` calls ``close``, and the owner stops tracking ``thing``.
         """
-
-    def add_server(
-        self, kind: ServerKind, server: Serving, close: Callable[[], object]
-    ) -> Closeable:
-        """Track a server, as `add` does. ``close`` must remove the server from the graph."""
 
 
 class Publication(Closeable, Protocol):
