@@ -134,7 +134,7 @@ class ClientEndpoints:
         self._names = names
         self._introspection = introspection
         self._opened: list[Closeable] = []
-        self._watches_status = self._watches_paused = False
+        self._read: set[str] = set()  # the topics that are subscribed to
         self._goals = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         self._cancels = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         self._lost: LostFeedback | None = None
@@ -265,9 +265,6 @@ class ClientEndpoints:
 
     def watch_status(self, take_states: Callable[[dict[bytes, State]], None]) -> None:
         """Subscribe to the status topic. A second call does nothing."""
-        if self._watches_status:
-            return
-        self._watches_status = True
 
         def deliver(told: Any) -> None:  # noqa: ANN401  # see `_States.decode`
             take_states(_states(told) if isinstance(told, GoalStatusArray) else told)
@@ -281,9 +278,6 @@ class ClientEndpoints:
         Args:
             take_paused: Called with the ids of all goals that are paused.
         """
-        if self._watches_paused:
-            return
-        self._watches_paused = True
 
         def deliver(message: PausedGoals) -> None:
             take_paused(frozenset(bytes(each.uuid) for each in message.goal_ids))
@@ -330,8 +324,10 @@ class ClientEndpoints:
         qos: QoS | None = None,
         on_gap: Callable[[int], None] | None = None,
     ) -> None:
-        endpoint = self._endpoint("subscription", name, type_name, qos)
-        self._opened.append(self.transport.subscribe(endpoint, format, deliver, on_gap=on_gap))
+        if name not in self._read:
+            self._read.add(name)
+            endpoint = self._endpoint("subscription", name, type_name, qos)
+            self._opened.append(self.transport.subscribe(endpoint, format, deliver, on_gap=on_gap))
 
 
 class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
