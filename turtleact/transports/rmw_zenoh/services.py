@@ -152,7 +152,8 @@ class WireCaller:
 
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request, and wait for the reply; see `turtleact.transports.base.Caller`."""
-        if self._near.is_served or not self._is_open:
+        is_here = self._context.near.local(self.name, self._endpoint.type_name)
+        if is_here or not self._is_open:
             return await self._near.call(request, note)
         payload = self._format.encode(request)
         if not self.is_matching:

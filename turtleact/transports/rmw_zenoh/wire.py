@@ -413,14 +413,10 @@ class Attachments:
 def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
     """Encode an attachment. A note longer than 4,096 bytes is cut to that size."""
     data = LAYOUT.pack(sequence, stamp, GID_SIZE, gid)
-    return data + _note_tail(note) if note else data
-
-
-def _note_tail(note: str) -> bytes:
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
     if len(tail) > LONGEST_NOTE:
         tail = tail[:LONGEST_NOTE].decode(errors="ignore").encode()
-    return tail
+    return data + tail
 
 
 def read_attachment(data: bytes) -> Attachment:
