@@ -1534,13 +1534,3 @@ async def test_odd_feedback_is_converted_or_refused_for_another_process_too(addr
         assert [each async for each in handle] == [feedback(1, 2)]
         assert await handle.result() == result(4)
     assert told == ["feedback.so_far[1]: expected a whole number (int32), got True"]
-
-
-async def test_an_abort_reason_that_utf_8_cannot_encode_keeps_its_result(address):
-    async def body(_):
-        raise turtleact.Abort("caf\udce9", result(4))
-        yield  # pragma: no cover
-
-    async with counted(address, body) as (_, handle):
-        outcome = await handle.outcome()
-    assert (outcome.result, outcome.reason) == (result(4), r"caf\udce9")
