@@ -17,7 +17,7 @@ Prints:
         [-] at last [o]
             --> low battery [o] -- 12 %
             --> go home [o] -- SUCCEEDED
-        --> patrol [-] -- CANCELING
+        --> patrol [-] -- to be canceled
 """
 
 import asyncio
@@ -91,9 +91,9 @@ class GoalLeaf(Behaviour):
         """Cancel the goal, sent or not. A goal that has ended is left alone."""
         if self.handle is None:
             self.scope.cancel()
-        else:
+        elif not self.handle.done:
             self.handle.cancel_nowait()
-            self.feedback_message = self.handle.status.name
+            self.feedback_message = "to be canceled"
 
 
 class LowBattery(Behaviour):
