@@ -111,7 +111,7 @@ async def test_rosapi_describes_types(rosapi, service, type_name, described):
 
 async def test_topics_come_with_the_full_text_of_their_types(rosapi):
     values = await rosapi.call("/rosapi/topics_and_raw_types", {})
-    assert values["typedefs_full_text"][0].startswith("Vector3 linear\nVector3 angular\n====")
+    assert values["typedefs_full_text"][0].startswith("geometry_msgs/Vector3 linear\n")
     assert "\nMSG: geometry_msgs/Vector3\nfloat64 x" in values["typedefs_full_text"][0]
     assert values["typedefs_full_text"][1] == "float64 x\nfloat64 y\nfloat64 z"
 

@@ -26,7 +26,7 @@ from turtleact.interfaces.definition import MessageDefinition, definition_text
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import definition, fields, nested_classes
 
-__all__ = ["Schema", "class_of", "schema_of"]
+__all__ = ["Schema", "class_of", "schema_of", "short_name"]
 
 SEPARATOR: Final = "=" * 80
 
@@ -73,7 +73,7 @@ def schema_of(cls: type[Message]) -> Schema:
     _collect(cls, found)
     [root, *others] = found.values()
     texts = [_text(root)]
-    texts += [f"{SEPARATOR}\nMSG: {_short(each.type_name)}\n{_text(each)}" for each in others]
+    texts += [f"{SEPARATOR}\nMSG: {short_name(each.type_name)}\n{_text(each)}" for each in others]
     return Schema(cls.type_name, "ros2msg", "\n".join(texts))
 
 
@@ -98,10 +98,10 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
     return known
 
 
-def _short(name: str) -> str:
+def short_name(name: str) -> str:
     """Return the name of a type without its kind.
 
-    >>> _short("geometry_msgs/msg/Point"), _short("Point")
+    >>> short_name("geometry_msgs/msg/Point"), short_name("Point")
     ('geometry_msgs/Point', 'Point')
     """
     package, slash, rest = name.partition("/")
@@ -126,7 +126,7 @@ def _text(cls: type[Message]) -> str:
     said = definition(cls)
     spelled = [
         msgspec.structs.replace(
-            field, type=msgspec.structs.replace(field.type, name=_short(field.type.name))
+            field, type=msgspec.structs.replace(field.type, name=short_name(field.type.name))
         )
         for field in said.fields
     ]
@@ -154,7 +154,7 @@ def _from_text(schema: Schema, known: type[Message] | None) -> type[Message]:
         UnknownInterface: if the text uses a type that neither the text nor the program defines.
     """
     root, *rest = _HEADING.split(schema.text)
-    texts = {_short(name): text for name, text in zip(rest[::2], rest[1::2], strict=True)}
+    texts = {short_name(name): text for name, text in zip(rest[::2], rest[1::2], strict=True)}
     made = _Making(schema.name, texts).make(schema.name, root)
     return known if known is not None and _layout(known) == _layout(made) else made
 
@@ -187,7 +187,7 @@ class _Making:
 
     def _find(self, name: str) -> type[Message]:
         name = name.replace(UNDERSCORE, "_")
-        short = _short(name)
+        short = short_name(name)
         if short not in self._texts:
             found = _known(name)
             if found is None:

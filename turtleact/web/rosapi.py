@@ -22,7 +22,7 @@ from typing import Any, Final, Protocol, TypeAlias, TypeVar, cast
 import msgspec
 
 from turtleact.errors import InvalidMessage, InvalidParameter, ServerUnavailable, TurtleactError
-from turtleact.interfaces import Message, fields, interface_text, known_interfaces
+from turtleact.interfaces import Message, fields, known_interfaces
 from turtleact.interfaces.definition import ArrayForm, Field, did_you_mean
 from turtleact.interfaces.standard.rcl_interfaces.msg import (
     Parameter,
@@ -39,6 +39,7 @@ from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.node.parameter_rules import fitted, value_of
 from turtleact.node.services import ServiceType
+from turtleact.recording.schemas import schema_of, short_name
 from turtleact.transports.base import EndpointKind
 from turtleact.web.name_lookup import (
     ALWAYS,
@@ -53,8 +54,6 @@ from turtleact.web.name_lookup import (
 __all__ = [
     "Parameters",
     "Rosapi",
-    "full_text",
-    "short_name",
     "typedefs",
 ]
 
@@ -72,8 +71,6 @@ Res = TypeVar("Res", bound=Message)
 LIST: Final = "/list_parameters"
 
 PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
-
-RULE = "=" * 80
 
 
 class Rosapi:
@@ -336,29 +333,12 @@ class Parameters:
         return {"successful": result.successful, "reason": result.reason}
 
 
-def short_name(type_name: str) -> str:
-    """Return the name of a type without ``msg``, ``srv`` or ``action``.
-
-    >>> short_name("geometry_msgs/msg/Point")
-    'geometry_msgs/Point'
-    """
-    package, _, name = type_name.rpartition("/")
-    return f"{package.partition('/')[0]}/{name}"
-
-
 def typedefs(cls: type[Message]) -> list[dict[str, object]]:
     """Return the typedefs of a message and of all messages in it.
 
     Each type occurs once. The outermost message comes first.
     """
     return [_typedef(each) for each in _with_nested(cls)]
-
-
-def full_text(cls: type[Message]) -> str:
-    """Return the definition of a message, followed by the definitions of the messages in it."""
-    first, *rest = _with_nested(cls)
-    blocks = [f"{RULE}\nMSG: {short_name(each.type_name)}\n{interface_text(each)}" for each in rest]
-    return "\n".join([interface_text(first), *blocks])
 
 
 NODE_DETAILS: Final[dict[str, EndpointKind]] = {
@@ -378,7 +358,7 @@ def _text(name: str, value: object) -> str:
 
 def _definition(name: str) -> str:
     try:
-        return full_text(message_class(name))
+        return schema_of(message_class(name)).text
     except TurtleactError as error:
         return f"# {error}"
 
