@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import aclosing
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import anyio.to_thread
 import msgspec
@@ -21,9 +21,7 @@ from turtleact.recording.bag import Bag, Recorded, messages_in
 from turtleact.recording.selection import REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Range
 
-__all__ = ["ENDED", "RecordedGoal", "goals", "goals_in"]
-
-ENDED: Final = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
+__all__ = ["RecordedGoal", "goals", "goals_in"]
 
 
 class RecordedGoal(msgspec.Struct, kw_only=True):
@@ -74,7 +72,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
     @property
     def ended(self) -> int:
         """When the goal's end was recorded (ns since 1970); 0 if the end is not in the bag."""
-        return self.states[-1][0] if self.status in ENDED else 0
+        return self.states[-1][0] if self.status.is_terminal else 0
 
     @property
     def duration(self) -> float | None:
@@ -98,7 +96,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
             return self.told
         if self.accepted is False:
             return "rejected"
-        return "" if self.status in ENDED else "its end was not recorded"
+        return "" if self.status.is_terminal else "its end was not recorded"
 
 
 async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> list[RecordedGoal]:
@@ -210,5 +208,5 @@ def _add_state(goal: RecordedGoal, stamp: int, number: int) -> None:
         status = GoalStatus(number)
     except ValueError:
         return
-    if status not in (goal.status, GoalStatus.UNKNOWN) and goal.status not in ENDED:
+    if status not in (goal.status, GoalStatus.UNKNOWN) and not goal.status.is_terminal:
         goal.states.append((stamp, status))

@@ -30,7 +30,7 @@ from turtleact.interfaces import to_json
 from turtleact.interfaces.types import fields
 from turtleact.recording.bag import Bag, reader_of
 from turtleact.recording.metadata import BagError
-from turtleact.recording.recorded_goals import ENDED, RecordedGoal, goals
+from turtleact.recording.recorded_goals import RecordedGoal, goals
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range, Raw
@@ -244,7 +244,7 @@ def _goal(goal: RecordedGoal, origin: int) -> dict[str, object]:
         "id": goal.id.hex() or secrets.token_hex(4),
         "action": goal.action,
         "status": "REJECTED" if goal.accepted is False else goal.status.name,
-        "has_ended": goal.status in ENDED or goal.accepted is False,
+        "has_ended": goal.status.is_terminal or goal.accepted is False,
         "start": (goal.stamp - origin) / 1e9,
         "end": (end - origin) / 1e9 if end else None,
         "feedback_count": goal.feedback_count,
