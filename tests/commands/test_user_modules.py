@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands.user_modules import Modules
+from turtleact.commands.user_code import Modules
 from turtleact.errors import TurtleactError, UsageError
 
 LAB = """

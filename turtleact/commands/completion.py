@@ -208,7 +208,7 @@ def targets(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001 
 
 def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the packages with something to run, and the Python files in the working directory."""
-    from turtleact.commands.programs import runnable_here
+    from turtleact.commands.user_code import runnable_here
 
     known = runnable_here()
     files = sorted(each.name for each in Path().glob("*.py"))
@@ -217,7 +217,7 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
 
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the executables of the package given earlier on the command line."""
-    from turtleact.commands.programs import runnable_here
+    from turtleact.commands.user_code import runnable_here
 
     return list(runnable_here().get(ctx.params["package"], ()))
 

@@ -1,7 +1,7 @@
 """The verb ``run``, and the verbs of ``pkg``: create, list and executables.
 
-`turtleact.commands.programs` finds and runs programs. A new package can be run and tested without a
-build. It follows the layout of ROS 2, so that colcon can build it as well.
+`turtleact.commands.user_code` finds and runs programs. A new package can be run and tested without
+a build. It follows the layout of ROS 2, so that colcon can build it as well.
 
 Source: ros2pkg ``verb/create.py`` for the options and the names of files; REP 149 for
 ``package.xml``.
@@ -26,8 +26,8 @@ from turtleact.commands import VERBS, completion
 from turtleact.commands.app import SETTINGS, ManyVerb, new_group, verb
 from turtleact.commands.options import Interfaces, argument, flag, value
 from turtleact.commands.output import say, say_names, write_file
-from turtleact.commands.programs import Program, Programs, run_program, runnable_here
 from turtleact.commands.settings import ConnectOptions, Fleet, Service, WrongOptions, quoted
+from turtleact.commands.user_code import Program, Programs, run_program, runnable_here
 from turtleact.errors import TurtleactError
 
 __all__ = ["app", "pkg"]

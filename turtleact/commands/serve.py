@@ -346,7 +346,7 @@ def _node_name(targets: list[str] | None) -> str:
     Beside a world, or if a node cannot have that name, it is ``turtleact``. A server without a
     world often runs beside a server with a world, and ROS 2 warns if two nodes have the same name.
     """
-    from turtleact.commands.user_modules import read_target
+    from turtleact.commands.user_code import read_target
 
     module = read_target(targets[0]).module.rpartition(".")[2] if targets else ""
     is_fit = _NODE_NAME.fullmatch(module) and module not in _WORLD_NODES

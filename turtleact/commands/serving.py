@@ -25,7 +25,7 @@ from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.screen import can_move
 from turtleact.commands.settings import naming
-from turtleact.commands.user_modules import Found, Modules
+from turtleact.commands.user_code import Found, Modules
 from turtleact.errors import ActionConflict, TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.goals.state import GoalStatus

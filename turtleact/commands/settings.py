@@ -187,7 +187,7 @@ class Service(NamedTuple):
 
     Attributes:
         targets: The user's modules, files and objects, in the syntax of
-            `turtleact.commands.user_modules`.
+            `turtleact.commands.user_code`.
         listen: The endpoints at which to listen as a router. Without any endpoints, here or in
             ``reach``, the server becomes the router of this machine. If the machine already has a
             router, the server becomes a peer of that router instead.
