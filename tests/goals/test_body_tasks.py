@@ -354,17 +354,6 @@ class Closing:
 
 
 @IN_VIRTUAL_TIME
-async def test_a_body_is_given_up_after_its_grace():
-    body, closing = Body(STUBBORN), Closing()
-    await closing.run((body, 2.0))
-    assert closing.ended == pytest.approx({0: 2.0})
-    can_let_go = current_tasks().can_let_go
-    assert closing.took == pytest.approx(2.0 if can_let_go else STUBBORN)
-    await anyio.sleep(STUBBORN)
-    assert body.log == ["over"]
-
-
-@IN_VIRTUAL_TIME
 async def test_closing_a_node_takes_one_grace_for_all_bodies():
     closing = Closing()
     await closing.run((Body(STUBBORN), 2.0), (Body(STUBBORN), 3.0), (Body(1.0), 5.0))

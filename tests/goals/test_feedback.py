@@ -126,24 +126,18 @@ def large(number: int) -> object:
     return LARGE
 
 
-async def test_small_messages_hold_the_body_up_by_their_number():
-    source = Source()
+@pytest.mark.parametrize(
+    ("make", "upto", "size", "budget", "head_start"),
+    [(feedback, MANY, 1, KEPT, BURST), (large, 200, LARGE_SIZE, BUDGET, 2 * BURST * LARGE_SIZE)],
+    ids=["small", "large"],
+)
+async def test_unread_messages_hold_the_body_up_by_their_number_or_bytes(
+    make, upto, size, budget, head_start
+):
+    source = Source(make, upto)
     async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
         reading = aiter(handle)
-        assert KEPT <= await source.settle() < KEPT + BURST
-        del reading
-
-
-HEAD_START = 2 * BURST
-"""The most messages before the sender begins to read: where a body starts eagerly, two bursts."""
-
-
-async def test_large_messages_hold_the_body_up_by_their_bytes():
-    source = Source(large, 200)
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        reading = aiter(handle)
-        unread = await source.settle() * LARGE_SIZE
-        assert BUDGET <= unread < BUDGET + HEAD_START * LARGE_SIZE
+        assert budget <= await source.settle() * size < budget + head_start
         del reading
 
 
