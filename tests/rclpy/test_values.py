@@ -275,7 +275,11 @@ def test_parameters_are_compared_and_shown():
     assert repr(parameter) == "Parameter(name='p', type=Type.INTEGER, value=1)"
 
 
-@pytest.mark.parametrize("value", [[1, "a"], [1, True], [None], object(), [object()]])
+def test_a_list_of_whole_numbers_may_hold_bools():
+    assert Parameter("p", value=[1, True]).type_ is Parameter.Type.INTEGER_ARRAY
+
+
+@pytest.mark.parametrize("value", [[1, "a"], [None], object(), [object()]])
 def test_other_values_are_refused(value):
     with pytest.raises(TypeError, match="not one of the allowed types"):
         Parameter("p", value=value)

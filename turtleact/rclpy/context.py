@@ -4,16 +4,16 @@ A graph is joined when the first node needs it, and left when the last context t
 down. The event loop keeps running for the next ``init``.
 
 SIGINT and SIGTERM shut every context down. Python may call a signal handler anywhere in the
-program, even while the program holds a lock. The handler therefore only wakes a thread, which shuts
-the contexts down. The handler then calls the previously installed handler. For SIGINT, the previous
+program, even while the program holds a lock. The handler therefore starts a thread, which shuts the
+contexts down. The handler then calls the previously installed handler. For SIGINT, the previous
 handler is usually Python's own handler, which raises KeyboardInterrupt.
 """
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import os
-import queue
 import signal
 import sys
 import threading
@@ -422,13 +422,11 @@ SIGNALS = {
 
 
 class _Handlers:
-    """Installs and restores signal handlers, and owns the thread that shuts contexts down."""
+    """Installs and restores signal handlers."""
 
     def __init__(self) -> None:
         self.installed = SignalHandlerOptions.NO
         self._before: dict[int, Handler] = {}
-        self._received: queue.SimpleQueue[int] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
 
     def install(self, options: SignalHandlerOptions) -> None:
         """Install handlers for the given signals.
@@ -437,11 +435,6 @@ class _Handlers:
         """
         if threading.current_thread() is not threading.main_thread():
             return
-        if self._thread is None:
-            self._thread = threading.Thread(
-                target=self._work, name="turtleact-signals", daemon=True
-            )
-            self._thread.start()
         for option, number in SIGNALS.items():
             if option in options and option not in self.installed:
                 # Known before the signal can come: it must reach the former handler, too.
@@ -460,15 +453,11 @@ class _Handlers:
                 self.installed &= ~option
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        self._received.put(number)  # safe even if it interrupts another `put`
+        # Unlike `threading.Thread.start`, this takes no lock that the interrupted code may hold.
+        _thread.start_new_thread(PROCESS.shut_down, ())
         before = self._before.get(number)
         if callable(before):
             before(number, frame)
-
-    def _work(self) -> None:
-        while True:
-            self._received.get()
-            PROCESS.shut_down()
 
 
 HANDLERS = _Handlers()

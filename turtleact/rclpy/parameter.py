@@ -72,11 +72,13 @@ class Parameter(Subscriptable):
             """
             if parameter_value is None:
                 return cls.NOT_SET
-            single = _single(parameter_value)
-            if single is not None:
-                return cls[single]
-            if isinstance(parameter_value, list | tuple | array.array):
-                return _array_type(parameter_value)
+            is_array = isinstance(parameter_value, list | tuple | array.array)
+            values: Anything = parameter_value if is_array else [parameter_value]
+            if is_array and all(isinstance(each, bytes) for each in values):
+                return cls.BYTE_ARRAY  # also for an empty list
+            for number, kind in enumerate((bool, int, float, str), start=1):
+                if all(isinstance(each, kind) for each in values):
+                    return cls(number + cls.BYTE_ARRAY.value if is_array else number)
             raise TypeError(f"The given value is not one of the allowed types '{parameter_value}'.")
 
         def check(self, parameter_value: object) -> bool:
@@ -131,26 +133,6 @@ class Parameter(Subscriptable):
         """Return the parameter as a ``rcl_interfaces.msg.Parameter``."""
         value = self.get_parameter_value()
         return interface_class("rcl_interfaces/msg/Parameter")(name=self.name, value=value)
-
-
-def _single(value: object) -> str | None:
-    """Return the name of the type of a value that is not a list; None if no type fits."""
-    kinds = ((bool, "BOOL"), (int, "INTEGER"), (float, "DOUBLE"), (str, "STRING"))
-    return next((name for kind, name in kinds if isinstance(value, kind)), None)
-
-
-def _array_type(values: Sequence[object]) -> Parameter.Type:
-    """Return the type of a list. An empty list has the type BYTE_ARRAY.
-
-    Raises:
-        TypeError: if the elements are of different types, or of a type that no parameter can have.
-    """
-    if all(isinstance(each, bytes) for each in values):
-        return Parameter.Type.BYTE_ARRAY
-    found = {_single(each) for each in values}
-    if len(found) == 1 and (kind := found.pop()) is not None:
-        return Parameter.Type[f"{kind}_ARRAY"]
-    raise TypeError(f"The given value is not one of the allowed types '{values!r}'.")
 
 
 def get_parameter_value(string_value: str) -> Anything:
