@@ -385,8 +385,7 @@ class ActionServer(Introspected, Waitable, QueueEntity):
         handle = None
         if accepted:
             handle = self._goal_handles[goal_id] = ServerGoalHandle(self, info, request.goal)
-        response = self._kind.service("send_goal").Response(accepted=accepted, stamp=info.stamp)
-        respond(Reply(encode(response, type(response)), NOTE))
+        self._respond(respond, "send_goal", accepted=accepted, stamp=info.stamp)
         if handle is None:
             self._logger.debug(f"New goal rejected: {goal_id.hex()}")
             return
@@ -454,15 +453,16 @@ class ActionServer(Introspected, Waitable, QueueEntity):
         return self._action_type.Result()
 
     def _end_goal(self, goal_handle: ServerGoalHandle, result: Anything) -> None:
-        response = self._kind.service("get_result").Response(
-            status=goal_handle.status, result=result
-        )
+        made = self._kind.service("get_result").Response
+        response = made(status=goal_handle.status, result=result)
         try:
-            encode(response, type(response))
+            data = encode(response, made)
         except TypeError as error:
             self._logger.error(f"The result cannot be sent, so an empty one is sent: {error}")
             response.result = self._action_type.Result()
-        goal_handle.ended.set_result((response, goal_handle.goal.log.count))
+            data = encode(response, made)
+        note = GoalMetadata(feedback=goal_handle.goal.log.count).write()
+        goal_handle.ended.set_result(Reply(data, note))
 
     def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
         """Publish a goal's new state. The goal's handle calls this after each change."""
@@ -498,10 +498,7 @@ class ActionServer(Introspected, Waitable, QueueEntity):
             asked=len(chosen),
             let_go=len(canceling),
         )
-        response = self._kind.service("cancel_goal").Response(
-            return_code=int(code), goals_canceling=canceling
-        )
-        respond(Reply(encode(response, type(response)), NOTE))
+        self._respond(respond, "cancel_goal", return_code=int(code), goals_canceling=canceling)
 
     async def _may_cancel(self, goal_handle: ServerGoalHandle) -> bool:
         """Ask the cancel callback. If it accepts and the goal has not ended, cancel the goal.
@@ -528,16 +525,13 @@ class ActionServer(Introspected, Waitable, QueueEntity):
             self._logger.warning(
                 f"Sending result response for unknown goal ID: {request.goal_id.uuid}"
             )
-            response = self._kind.service("get_result").Response()
-            respond(Reply(encode(response, type(response)), NOTE))
-            return
+            self._respond(respond, "get_result")
+        else:
+            handle.ended.add_done_callback(lambda ended: respond(ended.result()))
 
-        def answer(ended: Future) -> None:
-            response, published = ended.result()
-            note = GoalMetadata(feedback=published).write()
-            respond(Reply(encode(response, type(response)), note))
-
-        handle.ended.add_done_callback(answer)
+    def _respond(self, respond: Respond, service: str, **fields: Anything) -> None:
+        response = self._kind.service(service).Response(**fields)
+        respond(Reply(encode(response, type(response)), NOTE))
 
     def _first_expiry(self) -> int:
         """Return when the next goal is forgotten (ns, monotonic clock); `NEVER` if none will be."""
