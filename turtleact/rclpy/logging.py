@@ -153,26 +153,27 @@ def logger_named(name: str) -> logging.Logger:
 
 
 class _Site:
-    """Stores the options of the first message at a call site, and the state of the filters."""
+    """Stores the options of the first message at a call site, and the state of the filters.
 
-    __slots__ = ("filters", "has_logged", "has_skipped", "last", "name", "severity")
+    Args:
+        *given: The severity, the name of the logger, and the filters.
+    """
 
-    def __init__(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
-        self.severity = severity
-        self.name = name
-        self.filters = filters
+    __slots__ = ("filters", "given", "has_logged", "has_skipped", "last")
+
+    def __init__(self, *given: Anything) -> None:
+        self.given = given
+        self.filters = given[2]
         self.has_logged = False
         self.has_skipped = False
         self.last = 0
 
-    def check(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
-        """Raise ValueError if the options differ from those of the first message."""
-        if severity != self.severity:
-            raise ValueError("Logger severity cannot be changed between calls.")
-        if name != self.name:
-            raise ValueError("Logger name cannot be changed between calls.")
-        if filters != self.filters:
-            raise ValueError("Logging filter parameters cannot be changed between calls.")
+    def check(self, *given: Anything) -> None:
+        """Raise ValueError if the severity, name or filters differ from those of the first call."""
+        words = ("Logger severity", "Logger name", "Logging filter parameters")
+        for word, first, now in zip(words, self.given, given, strict=True):
+            if now != first:
+                raise ValueError(f"{word} cannot be changed between calls.")
 
     def lets_pass(self) -> bool:
         """Whether the filters let a message pass."""
@@ -261,9 +262,9 @@ class RcutilsLogger:
         frame = _caller()
         logger = self._logger if name is None else logger_named(name)
         _check_filters(kwargs)
-        key = (frame.f_code, frame.f_lasti)
-        site = self._sites.setdefault(key, _Site(severity, logger.name, kwargs))
-        site.check(severity, logger.name, kwargs)
+        given = severity, logger.name, kwargs
+        site = self._sites.setdefault((frame.f_code, frame.f_lasti), _Site(*given))
+        site.check(*given)
         if not logger.isEnabledFor(severity) or not site.lets_pass():
             return False
         _write(logger, severity, str(message), frame)
