@@ -44,6 +44,7 @@ Such a name is only read and has a fallback. A test removes the name to prove th
 DOCUMENTED = {
     *("_asdict", "_field_defaults", "_fields", "_make", "_replace"),  # collections.namedtuple
     *("_exit", "_getframe"),  # of os and sys
+    "_thread",  # a module of the library reference
 }
 
 INSIDES = {"get_referents", "get_referrers", "pythonapi"}
