@@ -412,7 +412,7 @@ class _Caller:
             self._calls -= 1
             if not self._is_open:
                 self._leave_if_idle()
-        for each in reversed(observers):
+        for each in reversed(observers):  # the server has answered before the client has heard
             each.responded(reply.message, self.gid, sequence)
         return reply
 

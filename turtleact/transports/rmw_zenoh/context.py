@@ -10,7 +10,7 @@ import logging
 import math
 import queue
 import threading
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Coroutine
 from functools import partial
 from time import monotonic
@@ -88,7 +88,7 @@ class Context:
             transport, and as bytes from Zenoh. The subscription uses the gids to recognize and
             ignore these bytes.
         graph: The nodes and endpoints of other sessions.
-        demand: Tells which names other processes use, and calls what waits for a name.
+        demand: Calls what waits for a name that other processes use.
         is_open: Whether the transport is open.
     """
 
@@ -104,32 +104,29 @@ class Context:
         self.opened: set[Closeable] = set()
         self.latched: set[bytes] = set()
         self.graph = Graph(session.zid)
-        self.demand = Demand()
+        self.demand = Demand(self.graph)
         self.is_open = True
 
 
 class Demand:
-    """The names of the endpoints that other processes have, and what waits for such a name."""
+    """Calls what waits until other processes have an endpoint with a certain name.
 
-    def __init__(self) -> None:
-        self._counts: Counter[str] = Counter()
+    Args:
+        graph: The nodes and endpoints of other sessions.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
         self._waiting: dict[str, list[Job]] = {}
 
     def has(self, name: str) -> bool:
         """Whether another process has an endpoint with this name."""
-        return self._counts[name] > 0
+        return bool(self._graph.endpoints(name))
 
-    def add(self, name: str) -> None:
-        """Record that another process has an endpoint with this name, and call what waits."""
-        self._counts[name] += 1
+    def appeared(self, name: str) -> None:
+        """Call what waits for this name, because another process has an endpoint with it."""
         for act in self._waiting.pop(name, ()):
             act()
-
-    def remove(self, name: str) -> None:
-        """Record that an endpoint with this name in another process is gone."""
-        self._counts[name] -= 1
-        if not self._counts[name]:
-            del self._counts[name]
 
     def call_when_sought(self, name: str, act: Job) -> Closeable:
         """Call ``act`` once; see `turtleact.transports.base.Transport`."""

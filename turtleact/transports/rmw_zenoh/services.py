@@ -152,6 +152,7 @@ class WireCaller:
 
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request, and wait for the reply; see `turtleact.transports.base.Caller`."""
+        # A server in this process gets the request as an object, and no other server gets it.
         is_here = self._context.near.local(self.name, self._endpoint.type_name)
         if is_here or not self._is_open:
             return await self._near.call(request, note)
@@ -162,7 +163,7 @@ class WireCaller:
             raise ServerUnavailable(self.name, self.why_not_served(), kind="service")
         attachment = self._attachments.next(note)
         call = _Call(self, self._context, payload, attachment, self._context.tasks.signal())
-        if self._observer is not None:
+        if self._observer is not None:  # before it is sent, so that no response is told of first
             self._observer.requested(payload, self._endpoint.gid, count_in(attachment))
         self._calls.under_way.add(call)
         self._under_way += 1
@@ -337,6 +338,9 @@ class _Call(msgspec.Struct, eq=False):
             raise
 
     # called in a thread of the session
+    #
+    # Replies of two servers may arrive at the same moment, each in a thread of its own. Then either
+    # of them is used, and `end` runs twice, which does no harm. So no lock is needed.
 
     def _replied(self, payload: bytes, attachment: bytes) -> None:
         if self.is_decided:  # the first reply of several servers wins
@@ -446,7 +450,7 @@ class WireService:
         except Exception as error:
             logger.exception("the handler of service %s failed", self._name)
             self._fail(query, ServiceError(self._name, f"the handler failed: {summary(error)}"))
-        except BaseException:
+        except BaseException:  # the transport closes: the client must not wait for an answer
             self._fail(query, self._closed())
             raise
         else:

@@ -133,7 +133,7 @@ class WirePublication(Source):
         self._is_open = True
         self.is_read = self.is_latched = endpoint.qos.durability == "transient_local"
         self._is_state = self.is_latched and source is not None
-        self._is_expected = False  # whether a reader is expected
+        self._is_expected = False  # a reader that is not discovered yet
         self.is_stale = False
         self._is_watched = False  # whether the task below watches for changes
         self._is_awaited = False  # whether somebody waits in `drained`
@@ -222,6 +222,7 @@ class WirePublication(Source):
         self._near.close()
         self._sent.fire()
         self.declaration.close()
+        # Only once the publisher is undeclared, no message of it can come back from Zenoh.
         self._context.send_queue.post(lambda: self._context.latched.discard(self._gid))
         self._context.opened.discard(self)
 

@@ -321,7 +321,7 @@ class ZenohTransport:
         if token is None:
             return
         if token.endpoint is not None:
-            self.context.demand.add(token.endpoint.name)
+            self.context.demand.appeared(token.endpoint.name)
         self._near.tell_change()
 
     def token_gone(self, key: str) -> None:
@@ -332,7 +332,6 @@ class ZenohTransport:
         if token is None:
             return
         if (endpoint := token.endpoint) is not None:
-            self.context.demand.remove(endpoint.name)
             if endpoint.kind == "client":
                 self._near.client_lost(endpoint.name, endpoint.gid)
             if endpoint.kind == "service":
