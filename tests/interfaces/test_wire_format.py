@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
-
 import pytest
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import (
     GOAL_ID,
     Action,
-    EventFormat,
     FeedbackFormat,
     Message,
     Service,
@@ -21,8 +18,7 @@ from turtleact.interfaces import (
     string,
     type_hash,
 )
-from turtleact.interfaces.classes import event_message
-from turtleact.interfaces.standard import UUID, ServiceEventInfo, Time
+from turtleact.interfaces.standard import UUID, Time
 
 
 class Sum(Service, type_name="lab_interfaces/srv/Sum"):
@@ -138,61 +134,3 @@ def test_feedback_that_does_not_fit_is_told_with_its_path_in_the_whole_message()
 def test_feedback_that_is_cut_off_is_refused():
     with pytest.raises(InvalidMessage, match=r"these 26 bytes are not of type .*Walk_Feedback"):
         FORMAT.read(FORMAT.write(GOAL, WALKS[1])[:26])
-
-
-# --- events ---------------------------------------------------------------------------------
-
-
-class Mixed(Service, type_name="lab_interfaces/srv/Mixed"):
-    """Its parts have values of each alignment, and no whole number of words."""
-
-    class Request(Message):
-        is_fast: bool = True
-        way: float64 = 2.5
-        name: string = "ab"
-
-    class Response(Message):
-        name: string = "abc"
-        ways: list[float64] = [1.5]
-        is_done: bool = True
-
-
-class Empty(Service, type_name="lab_interfaces/srv/Empty"):
-    """Says nothing."""
-
-    class Request(Message):
-        pass
-
-    class Response(Message):
-        pass
-
-
-GID = bytes(range(16))
-INFO = ServiceEventInfo(2, Time(sec=1, nanosec=7), list(GID), 5)
-
-
-@pytest.mark.parametrize("service", [Sum, Mixed, Empty])
-@pytest.mark.parametrize("tail", [b"", b"garbage"])  # ROS 2 leaves some behind a message
-def test_an_event_is_written_from_the_bytes_of_its_request_or_response(service, tail):
-    events, event_type = EventFormat(lambda: service), cast("Any", event_message(service))
-    head = events.info(2, 1_000_000_007, GID, 5)
-    request, response = service.Request(), service.Response()
-    sent, answered = WireFormat(service, asks=True), WireFormat(service)
-    assert events.write(head) == events.encode(event_type(INFO, [], []))
-    written = events.write(head, request=sent.encode(request) + tail)
-    assert written == events.encode(event_type(INFO, [request], []))
-    written = events.write(head, response=answered.encode(response) + tail)
-    assert written == events.encode(event_type(INFO, [], [response])) + tail
-
-
-def test_an_event_is_little_endian_even_if_its_response_is_not():
-    events = EventFormat(lambda: Sum)
-    written = events.write(events.info(0, 0, GID, 1), response=bytes.fromhex("00000000 00000003"))
-    event: Any = events.decode(written)
-    assert event.response == [RESPONSE]
-
-
-def test_no_event_is_written_from_bytes_that_are_no_request():
-    events = EventFormat(lambda: Sum)
-    with pytest.raises(InvalidMessage, match="bytes are not of type"):
-        events.write(events.info(0, 0, GID, 1), request=STAMP[:8])

@@ -45,7 +45,15 @@ from turtleact.errors import (
     ServiceError,
     summary,
 )
-from turtleact.interfaces import EventFormat, Message, WireFormat, snapshotter
+from turtleact.interfaces import (
+    Message,
+    Service,
+    WireFormat,
+    snapshot,
+    snapshotter,
+    stamp_of,
+)
+from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import ServiceEventInfo
 from turtleact.names import event_topic
 from turtleact.tasks import GRACE, Signal, Task, Tasks, is_cancellation, wait_while
@@ -284,9 +292,10 @@ class ServiceEvents(CallObserver):
         described = endpoint("publisher", self._topic, f"{service.type_name}_Event", EVENT_QOS)
         if service.on_demand:
             described = msgspec.structs.replace(described, on_demand=True)
-        self._format = EventFormat(find_type)
-        self._encode_request = WireFormat(find_type, asks=True).encode
-        self._encode_response = WireFormat(find_type).encode
+        self._find_type = find_type
+        self._requests = WireFormat(find_type)  # as the server reads them
+        self._responses = WireFormat(find_type, asks=True)
+        self._format = WireFormat(self._find_event)
         self._publication = transport.advertise(described, self._format)
         self._is_open = True
 
@@ -300,6 +309,9 @@ class ServiceEvents(CallObserver):
         if self._is_open and self._publication.has_readers:
             self._publish(self._response, gid, sequence, response)
 
+    def _find_event(self) -> type[Message]:
+        return event_message(cast("type[Service]", self._find_type()))
+
     def expect_readers(self) -> None:
         """Publish from now on, even if no reader is known yet."""
         self._publication.expect_readers()
@@ -312,20 +324,25 @@ class ServiceEvents(CallObserver):
     def _publish(self, kind: int, gid: bytes, sequence: int, message: object) -> None:
         """Publish an event. A failure is only logged, because it must not affect the call."""
         try:
-            contents: dict[str, bytes] = {}
-            if self._has_contents:
-                is_request = kind == self._request
-                encode = self._encode_request if is_request else self._encode_response
-                data = message if isinstance(message, bytes) else encode(message)
-                contents["request" if is_request else "response"] = data
-            info = self._format.info(kind, self._now(), gid, sequence)
-            event = self._format.write(info, **contents)
+            info = ServiceEventInfo(kind, stamp_of(self._now()), list(gid), sequence)
+            event: Any = self._find_event()(info)
+            if self._has_contents and kind == self._request:
+                event.request = [_copied(self._requests, message)]
+            elif self._has_contents:
+                event.response = [_copied(self._responses, message)]
             if self._publication.has_object_readers:
-                self._publication.publish(self._format.decode(event))
+                self._publication.publish(event)
             else:
-                self._publication.send(event)
+                self._publication.send(self._format.encode(event))
         except Exception:
             logger.exception("an event of topic %s cannot be published", self._topic)
+
+
+def _copied(format: WireFormat, message: object) -> Message:
+    """Return a message that is encoded, or that somebody else may change."""
+    if isinstance(message, bytes):
+        return format.decode(message)
+    return snapshot(cast("Message", message))
 
 
 def service_events(

@@ -57,7 +57,7 @@ from turtleact.interfaces.types import (
     uint64,
     wstring,
 )
-from turtleact.interfaces.wire_format import GOAL_ID, EventFormat, FeedbackFormat, WireFormat
+from turtleact.interfaces.wire_format import GOAL_ID, FeedbackFormat, WireFormat
 
 if TYPE_CHECKING:
     from turtleact.interfaces.cdr import decode, encode
@@ -67,7 +67,6 @@ __all__ = [
     "GOAL_ID",
     "SECOND",
     "Action",
-    "EventFormat",
     "FeedbackFormat",
     "Implied",
     "Message",

@@ -6,13 +6,12 @@ a `WireFormat`, so a transport to other processes needs no message classes.
 
 from __future__ import annotations
 
-import struct
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from turtleact.errors import InvalidMessage
-from turtleact.interfaces.classes import event_message, implied
-from turtleact.interfaces.conversion import SECOND, name_of
+from turtleact.interfaces.classes import implied
+from turtleact.interfaces.conversion import name_of
 from turtleact.interfaces.standard.unique_identifier_msgs.msg import UUID
 from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import Action, Message, Service
@@ -23,16 +22,10 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.types import Interface
 
-__all__ = ["GOAL_ID", "EventFormat", "FeedbackFormat", "WireFormat"]
+__all__ = ["GOAL_ID", "FeedbackFormat", "WireFormat"]
 
 GOAL_ID: Final = slice(4, 20)
 """The bytes of a feedback message that hold the goal id, in either byte order."""
-
-_EVENT: Final = struct.Struct("<4sB3xiI16s4xq")
-"""The CDR header and a ``service_msgs/msg/ServiceEventInfo``; two sequences follow."""
-
-_NONE: Final = struct.pack("<I", 0)
-_ONE: Final = struct.pack("<I", 1)
 
 
 class WireFormat:
@@ -160,77 +153,3 @@ class FeedbackFormat(WireFormat):
                 pass  # the decoding below raises again, with a clear error
         message: Any = WireFormat.decode(self, data)
         return cast("Message", message.feedback)
-
-
-class EventFormat(WireFormat):
-    """Encodes and decodes the messages on a service's event topic.
-
-    An event consists of a ``ServiceEventInfo`` about a call and, if contents are published, the
-    request or response. `write` can also build an event from a request or response that is already
-    encoded, which takes a fifth of the time of encoding an event object.
-
-    Args:
-        find_service: A function that returns the class of the service.
-
-    >>> from turtleact.interfaces.standard.std_srvs.srv import SetBool
-    >>> events, requests = EventFormat(lambda: SetBool), WireFormat(SetBool, asks=True)
-    >>> sent = requests.encode(SetBool.Request(data=True))
-    >>> event = events.decode(events.write(events.info(0, 7, bytes(16), 1), request=sent))
-    >>> event.request[0].data, event.response
-    (True, [])
-    """
-
-    def __init__(self, find_service: Callable[[], object]) -> None:
-        self._find_service = find_service
-        super().__init__(lambda: event_message(self._service))
-
-    def info(self, kind: int, stamp: int, gid: bytes, sequence: int) -> bytes:
-        """Encode the ``ServiceEventInfo`` at the beginning of an event.
-
-        Args:
-            kind: What happened: a constant of ``ServiceEventInfo``.
-            stamp: When the event happened (ns since the epoch).
-            gid: The gid of the client.
-            sequence: The sequence number of the request.
-        """
-        return _EVENT.pack(self._cdr.HEADER, kind, *divmod(stamp, SECOND), gid, sequence)
-
-    def write(
-        self, info: bytes, *, request: bytes | None = None, response: bytes | None = None
-    ) -> bytes:
-        """Encode an event.
-
-        Args:
-            info: The encoded ``ServiceEventInfo``, which the method `info` returns.
-            request: The encoded request, if the event contains one.
-            response: The encoded response, if the event contains one.
-
-        Raises:
-            InvalidMessage: if the request or a big-endian response cannot be decoded. A
-                little-endian response is copied without being decoded.
-        """
-        if response is not None and response[:2] == self._cdr.HEADER[:2]:
-            # It begins at a multiple of the widest alignment, so its padding stays as it is. What
-            # ROS 2 leaves behind a message does no harm at the end.
-            return b"".join((info, _NONE, _ONE, response[4:]))
-        if response is not None:
-            swapped = self._responses.encode(self._responses.decode(response))
-            return self.write(info, response=swapped)
-        if request is None:
-            return info + _NONE + _NONE
-        # It begins where its padding may differ, and nothing may be left behind it.
-        write = self._cdr.encoder(self._service.Request)
-        written: bytes = write(self._requests.decode(request), info + _ONE)
-        return b"".join((written, bytes(-len(written) % 4), _NONE))
-
-    @cached_property
-    def _service(self) -> type[Service]:
-        return cast("type[Service]", self._find_service())
-
-    @cached_property
-    def _requests(self) -> WireFormat:
-        return WireFormat(self._service.Request)
-
-    @cached_property
-    def _responses(self) -> WireFormat:
-        return WireFormat(self._service.Response)
