@@ -9,9 +9,9 @@ from `turtleact.interfaces.loading`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from functools import cache
-from typing import Any, Final, TypeAlias, cast
+from typing import Any, Final, TypeAlias
 
 from turtleact.interfaces import Action, Message, fields
 from turtleact.interfaces.definition import INTEGER_RANGES, Constant, Field
@@ -20,10 +20,9 @@ from turtleact.interfaces.types import are_flags, choices, named_values, nested_
 from turtleact.sim.pictures import hue_of
 
 __all__ = [
-    "CHARACTERS",
     "LONGEST_TEXT",
+    "MOST_ITEMS",
     "MOST_PLOTTED",
-    "MOST_VALUES",
     "Plain",
     "excerpt",
     "form",
@@ -33,11 +32,8 @@ __all__ = [
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
 
-MOST_VALUES: Final = 400
-"""An excerpt holds at most this many numbers and texts."""
-
-CHARACTERS: Final = 20
-"""Each group of this many characters of a text counts as one more value."""
+MOST_ITEMS: Final = 100
+"""Each list in an excerpt has at most this many items."""
 
 LONGEST_TEXT: Final = 1000
 """The maximum length of a text in an excerpt (characters)."""
@@ -57,7 +53,7 @@ QUOTED_WORD: Final = re.compile(r"``([\w-]+)``")
 Described: TypeAlias = dict[str, Any]
 
 
-def excerpt(message: Message) -> Plain:
+def excerpt(value: object) -> Plain:
     """Return the values of a message, ready for JSON. Long lists and texts are cut.
 
     A cut list or text ends with the number of items or characters that are missing.
@@ -66,7 +62,22 @@ def excerpt(message: Message) -> Plain:
     >>> excerpt(Fibonacci.Result([0, 1, 1]))
     {'sequence': [0, 1, 1]}
     """
-    return _Cutter().plain(message)
+    if isinstance(value, Message):
+        return {
+            field.name: excerpt(getattr(value, field.attribute)) for field in fields(type(value))
+        }
+    if isinstance(value, str):
+        missing = len(value) - LONGEST_TEXT
+        return f"{value[:LONGEST_TEXT]}… {missing} more" if missing > 0 else value
+    if isinstance(value, bool | int | float):
+        is_exact = isinstance(value, float) or -LARGEST_EXACT <= value <= LARGEST_EXACT
+        return value if is_exact else str(value)
+    # A list, bytes, or an array in a decoded message.
+    items: Any = value
+    some = items[:MOST_ITEMS]
+    shown = [excerpt(each) for each in (some.tolist() if hasattr(some, "tolist") else some)]
+    missing = len(items) - len(shown)
+    return [*shown, f"… {missing} more"] if missing else shown
 
 
 def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
@@ -112,48 +123,6 @@ def form(action: type[Action]) -> Described:
     }
     described = {part: _described(cls, comments(cls)) for part, cls in parts.items()}
     return {"type": action.type_name, **described}
-
-
-class _Cutter:
-    """Makes one excerpt, and counts how many values the excerpt may still hold."""
-
-    def __init__(self) -> None:
-        self._left = MOST_VALUES
-
-    def plain(self, value: object) -> Plain:
-        if isinstance(value, Message):
-            return {
-                field.name: self.plain(getattr(value, field.attribute))
-                for field in fields(type(value))
-            }
-        if isinstance(value, str):
-            return self._text(value)
-        if isinstance(value, bool | int | float):
-            self._left -= 1
-            is_exact = isinstance(value, float) or -LARGEST_EXACT <= value <= LARGEST_EXACT
-            return value if is_exact else str(value)
-        return self._items(cast("Sequence[object]", value))
-
-    def _text(self, value: str) -> str:
-        most = min(LONGEST_TEXT, max(0, self._left) * CHARACTERS)
-        shown = value[:most]
-        self._left -= 1 + len(shown) // CHARACTERS
-        return shown if shown == value else f"{shown}… {len(value) - most} more"
-
-    def _items(self, values: Sequence[object]) -> list[Plain]:
-        shown: list[Plain] = []
-        for value in _first(values, self._left):
-            if self._left <= 0:
-                break
-            shown.append(self.plain(value))
-        missing = len(values) - len(shown)
-        return [*shown, f"… {missing} more"] if missing else shown
-
-
-def _first(values: Sequence[object], count: int) -> list[object]:
-    """Return the first values of a list, of bytes, or of an array in a decoded message."""
-    some = values[: max(0, count)]
-    return cast("list[object]", some.tolist()) if hasattr(some, "tolist") else list(some)
 
 
 @cache
