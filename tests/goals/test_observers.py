@@ -53,8 +53,8 @@ def test_an_observer_of_pauses_costs_goals_nothing(kind, wanted):
 
 def test_an_observer_that_fails_as_a_body_begins_is_logged(caplog):
     observers = Observers("/count")
-    assert not observers.want_bodies
+    assert "enter_body" not in observers.wanted
     observers.add(OfBodies())
-    assert observers.want_bodies
+    assert "enter_body" in observers.wanted
     observers.enter_body(bare_goal())
     assert "a bad observer" in caplog.text

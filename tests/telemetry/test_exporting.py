@@ -67,7 +67,7 @@ async def test_either_exporter_can_be_left_out(monkeypatch, providers):
         instrument(node, tracer_provider=traces, meter_provider=numbers)
         server = node.action_server(Count, "count", count)
         assert not local_server_of(server).observers.are_any
-        assert not node.action_client(Count, "count").observers.want_calls
+        assert not node.action_client(Count, "count").observers.wanted
 
 
 @pytest.mark.parametrize(

@@ -317,7 +317,8 @@ class ActionClient(Generic[G, R, F]):
         self, request: GoalRequest, send: Callable[[GoalRequest], _Sending[T]]
     ) -> _Sending[T]:
         """Send a goal with ``send``, which is `_run` or `_enter`, and tell observers of calls."""
-        return self._send_observed(request, send) if self.observers.want_calls else send(request)
+        is_observed = "enter_call" in self.observers.wanted
+        return self._send_observed(request, send) if is_observed else send(request)
 
     async def _send_observed(
         self, request: GoalRequest, send: Callable[[GoalRequest], _Sending[T]]
@@ -560,6 +561,9 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         """Leave the block. The goal continues."""
 
 
+_OF_GOALS: Final = frozenset(("goal_changed", "feedback_published", "pause_changed"))
+
+
 class _ClientObservers(Observers):
     """The observers of one client.
 
@@ -593,7 +597,7 @@ class _ClientObservers(Observers):
 
     def _set_relay(self) -> None:
         """Add the relay to the server's observers if it is needed; otherwise remove the relay."""
-        wanted = self._theirs if self.want_goals else None
+        wanted = self._theirs if self.wanted & _OF_GOALS else None
         if wanted is not self._relayed:
             if self._relayed is not None:
                 self._relayed.remove(self._relay)

@@ -159,11 +159,7 @@ class Observers:
     Attributes:
         are_any: Whether any observer overrides `goal_changed`, `feedback_published` or `noted`.
             If ``are_any`` is False, these three methods need not be called.
-        want_feedback: Whether any observer overrides `feedback_published`.
-        want_bodies: Whether any observer overrides `enter_body`.
-        want_calls: Whether any observer overrides `enter_call` or `leave_call`.
-        want_goals: Whether any observer overrides `goal_changed`, `feedback_published` or
-            `pause_changed`.
+        wanted: The names of the methods that any observer overrides. The others need not be called.
     """
 
     __slots__ = (
@@ -173,10 +169,7 @@ class Observers:
         "_observers",
         "_untold",
         "are_any",
-        "want_bodies",
-        "want_calls",
-        "want_feedback",
-        "want_goals",
+        "wanted",
     )
 
     def __init__(self, action: str) -> None:
@@ -244,17 +237,9 @@ class Observers:
             )
             for method in _METHODS
         }
+        self.wanted = frozenset(name for name, calls in self._listeners.items() if calls)
         # Every server has an observer that only hears of pauses. It must not slow down all goals.
-        self.are_any = any(
-            self._listeners[method] for method in ("goal_changed", "feedback_published", "noted")
-        )
-        self.want_feedback = bool(self._listeners["feedback_published"])
-        self.want_bodies = bool(self._listeners["enter_body"])
-        self.want_calls = bool(self._listeners["enter_call"] or self._listeners["leave_call"])
-        self.want_goals = any(
-            self._listeners[method]
-            for method in ("goal_changed", "feedback_published", "pause_changed")
-        )
+        self.are_any = not self.wanted.isdisjoint(("goal_changed", "feedback_published", "noted"))
 
     def _tell(self, method: str, *news: object) -> None:
         """Call a method of all observers.

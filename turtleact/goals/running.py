@@ -103,7 +103,7 @@ class BodyRunner:
             server.end_canceled(goal)
         if goal.is_ending:
             return
-        if server.observers.want_bodies:
+        if "enter_body" in server.observers.wanted:
             context = copy_context() if context is None else context
             context.run(server.observers.enter_body, goal)
         body = goal.body = BodyTask(self, goal)

@@ -403,7 +403,7 @@ class LocalActionServer:
             log.on_feedback(message)
         if self.publisher is not None:
             self.publisher.send(goal, message)
-        if self.observers.want_feedback:
+        if "feedback_published" in self.observers.wanted:
             self.observers.feedback_published(goal, message)
 
     async def _catch_up(self, goal: Goal) -> None:

@@ -1,8 +1,6 @@
 """Answers the requests of a service with a function, and publishes events about its calls.
 
-The services of a node use this class, and so do the services that pause an action's goals. Clients
-in the same process call the server object directly. Other clients send their requests through a
-`turtleact.transports.base.Caller`.
+The services of a node use this class, and so do the services that pause an action's goals.
 
 - The server handles each request in its own task, so it can handle several at the same time.
 - Every caller gets an answer: the response, or the reason why there is none.
@@ -30,7 +28,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable
-from concurrent.futures import Future
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast, get_args
@@ -160,13 +157,15 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         self._calls[call] = None
         call.task = self._tasks.spawn(self._run(call), f"a handler of {self.name}")
         try:
-            while not call.outcome.done():
+            while call.answer is None:
                 await call.changed.wait()
         except self._tasks.cancelled:
             call.task.cancel()
             await wait_while(lambda: call in self._calls, call.changed, GRACE)
             raise
-        return Reply(call.outcome.result())
+        if isinstance(call.answer, Exception):
+            raise call.answer
+        return Reply(call.answer)
 
     def caller_lost(self, caller: bytes) -> None:
         """Cancel the handlers of a client that has gone. ``caller`` is the client's gid."""
@@ -227,33 +226,27 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         return ServerUnavailable(self.name, "the server was closed", kind="service")
 
 
-class _Call:
-    """One request and its outcome.
+class _Call(msgspec.Struct, eq=False):
+    """One request and its answer.
 
     Attributes:
         request: A checked copy of the request.
         caller: The gid of the request's client.
         changed: A signal that fires when the call is answered, and when the handler has ended.
-        outcome: The response, or the error that the caller gets.
+        answer: The response, or the error that the caller gets; None before.
         task: The task of the handler.
     """
 
-    __slots__ = ("caller", "changed", "outcome", "request", "task")
-
-    def __init__(self, request: Message, caller: bytes, changed: Signal) -> None:
-        self.request = request
-        self.caller = caller
-        self.changed = changed
-        self.outcome = Future[Message]()
-        self.task: Task | None = None
+    request: Message
+    caller: bytes
+    changed: Signal
+    answer: Message | Exception | None = None
+    task: Task | None = None
 
     def settle(self, answer: Message | Exception) -> None:
         """Set the response or the error, unless the call is answered already; wake the caller."""
-        if not self.outcome.done():
-            if isinstance(answer, Exception):
-                self.outcome.set_exception(answer)
-            else:
-                self.outcome.set_result(answer)
+        if self.answer is None:
+            self.answer = answer
         self.changed.fire()
 
 
