@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.commands.output import counted, duration, note, say, say_names, say_table
+from turtleact.commands.output import counted, duration, note, say, say_lines, say_table
 from turtleact.interfaces import to_json
 from turtleact.interfaces.conversion import to_dict
 from turtleact.interfaces.text import flow
@@ -54,11 +54,11 @@ def print_info(path: Path, *, verbose: bool, names_only: bool) -> None:
     bag = Bag(path)
     info = bag.info
     if names_only:
-        say_names("".join(f"{name}\n" for name in sorted({each.name for each in info.topics})))
+        say_lines(sorted({each.name for each in info.topics}))
         return
     reading = _Reading(bag) if verbose else None
     lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
-    say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(info)]))
+    say_lines(["", *lines, *_remarks(info)])
 
 
 def print_goals(path: Path, name: str | None, *, as_json: bool) -> None:

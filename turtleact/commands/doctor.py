@@ -11,7 +11,7 @@ import typer
 from turtleact.commands import VERBS
 from turtleact.commands.app import SETTINGS, verb
 from turtleact.commands.options import flag
-from turtleact.commands.output import say_names
+from turtleact.commands.output import say_lines
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _print(faults: list[Fault], seen: Snapshot | None, *, as_json: bool) -> int:
     else:
         lines = list(map(str, faults)) or ["no faults found"]
         lines += [] if seen is None else fact_lines(seen)
-    say_names("".join(f"{line}\n" for line in lines))
+    say_lines(lines)
     return FAULTY if faults else HEALTHY
 
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from turtleact.commands.access_config import mode_of
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.output import ELSEWHERE, note, say_names
+from turtleact.commands.output import ELSEWHERE, note, say_lines, say_names
 from turtleact.errors import (
     InvalidInterface,
     ServerUnavailable,
@@ -436,7 +436,7 @@ def print_list(
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
     names = [name for name, own in found.items() if type_name is None or type_name in own]
     lines = (_with_types(name, found[name] if types else ()) for name in names)
-    _say_lines([str(len(names))] if count else lines)
+    say_lines([str(len(names))] if count else lines)
 
 
 def print_type(node: Node, kind: Kind, name: str) -> int:
@@ -445,7 +445,7 @@ def print_type(node: Node, kind: Kind, name: str) -> int:
     If the name is not on the graph, print nothing and return the exit status 1.
     """
     types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
-    _say_lines(types)
+    say_lines(types)
     return int(not types)
 
 
@@ -465,7 +465,7 @@ def print_action_info(node: Node, name: str, *, types: bool, count: bool) -> Non
         nodes = list(_nodes_of_action(node, full_name, kind))
         say_names(f"Action {side}: {len(nodes)}\n")
         if not count:
-            _say_lines(f"    {_with_types(who, known if types else ())}" for who, known in nodes)
+            say_lines(f"    {_with_types(who, known if types else ())}" for who, known in nodes)
     served = types_by_name(node.transport.endpoints(), "action", "service", hidden=True)
     if full_name not in served and (hint := did_you_mean(full_name, served)):
         note(f"nobody serves '{full_name}'{hint}")
@@ -540,7 +540,7 @@ def print_topic_info(node: Node, name: str, *, verbose: bool) -> None:
         there = [each for each in endpoints if each.name == name and each.kind == kind]
         say_names(f"{word} count: {len(there)}{end}")
         if verbose:
-            _say_lines(f"{_in_full(endpoint)}\n" for endpoint in there)
+            say_lines(f"{_in_full(endpoint)}\n" for endpoint in there)
 
 
 def _in_full(endpoint: Endpoint) -> str:
@@ -587,7 +587,7 @@ def print_nodes(node: Node, *, count: bool, hidden: bool) -> None:
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
         note(f"several nodes have the same name: {', '.join(shared)}")
-    _say_lines([str(len(names))] if count else names)
+    say_lines([str(len(names))] if count else names)
 
 
 def print_node_info(node: Node, name: str, *, hidden: bool) -> None:
@@ -615,7 +615,7 @@ def print_node_info(node: Node, name: str, *, hidden: bool) -> None:
     for title, kind, end in sections:
         say_names(f"  {title}:\n")
         found = types_by_name(own, kind, end, hidden=hidden)
-        _say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
+        say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
     names_here = {each.name for each in own}
     note_differing(node, [e for e in node.transport.endpoints() if e.name in names_here], {})
 
@@ -648,7 +648,3 @@ def _as_said(types: tuple[str, ...]) -> str:
 def _with_types(name: str, types: Iterable[str]) -> str:
     said = ", ".join(types)
     return f"{name} [{said}]" if said else name
-
-
-def _say_lines(lines: Iterable[str]) -> None:
-    say_names("".join(f"{line}\n" for line in lines))

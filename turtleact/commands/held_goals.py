@@ -33,7 +33,7 @@ from turtleact.commands.goal_printer import (
     watch_command,
 )
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.output import duration, note, say, say_names, say_table
+from turtleact.commands.output import duration, note, say_lines, say_names, say_table
 from turtleact.commands.send_goal import choose_printer
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError, UsageError
 from turtleact.goals.state import CancelCode, GoalStatus, status_of
@@ -181,7 +181,7 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     now = node.clock.now()
     goals = await _with_pauses(node, goals)
     if as_json:
-        say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
+        say_lines(_as_json(node, goal, now) for goal in goals)
     elif goals:
         say_table([HEADINGS, *(_row(node, goal, now) for goal in goals)])
         if sys.stdout is not None and sys.stdout.isatty():

@@ -23,7 +23,7 @@ from turtleact.commands import completion
 from turtleact.commands.app import new_group, verb
 from turtleact.commands.message_text import first_message
 from turtleact.commands.options import argument, flag, only_one, value
-from turtleact.commands.output import note, say, write_file
+from turtleact.commands.output import note, say, say_lines, write_file
 from turtleact.commands.settings import WrongOptions
 from turtleact.errors import TurtleactError, UnknownInterface, UsageError
 from turtleact.interfaces import (
@@ -110,13 +110,13 @@ def package(
 ) -> None:
     """List the interfaces of a package."""
     _check_package(name)
-    say("".join(f"{each}\n" for each in _by_package(kinds).get(name, ())))
+    say_lines(_by_package(kinds).get(name, ()))
 
 
 @verb(app, knows=True, bundles=BY_KIND)
 def packages(*, kinds: list[str]) -> None:
     """List the packages that have interfaces."""
-    say("".join(f"{each}\n" for each in _by_package(kinds)))
+    say_lines(_by_package(kinds))
 
 
 @verb(app, knows=True)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from turtleact.commands import VERBS
 from turtleact.commands.app import new_group, verb
 from turtleact.commands.options import argument, span, value
-from turtleact.commands.output import counted, duration, note, say, say_table
+from turtleact.commands.output import counted, duration, note, say, say_lines, say_table
 from turtleact.errors import InvalidMessage, TurtleactError, UsageError
 from turtleact.names import resolve_name
 
@@ -79,7 +79,7 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
     widths = [len(heading) for heading in HEADINGS]
     while goals := list(islice(found, BLOCK)):
         if as_json:
-            say("".join(f"{_as_json(goal, now)}\n" for goal in goals))
+            say_lines(_as_json(goal, now) for goal in goals)
         else:
             rows = [_row(goal, now) for goal in goals]
             heading = [HEADINGS] if is_empty else []

@@ -24,7 +24,7 @@ from turtleact.commands.options import (
     type_of,
     value,
 )
-from turtleact.commands.output import note, say, say_names
+from turtleact.commands.output import note, say, say_lines, say_names
 from turtleact.commands.settings import Owner, quoted
 from turtleact.errors import ServerUnavailable, TurtleactError
 
@@ -231,7 +231,7 @@ async def describe(
 
     client = await ParameterClient.find(node, owner)
     for each in await client.descriptors(names):
-        say_names("".join(f"{line}\n" for line in described(each)))
+        say_lines(described(each))
 
 
 @verb(param)

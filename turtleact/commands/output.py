@@ -24,6 +24,7 @@ __all__ = [
     "note",
     "printable",
     "say",
+    "say_lines",
     "say_message",
     "say_names",
     "say_table",
@@ -53,6 +54,11 @@ def say_names(text: str) -> None:
     say(printable(text))
 
 
+def say_lines(lines: Iterable[str]) -> None:
+    """Print lines with names from the graph, and escape their control characters."""
+    say_names("".join(f"{line}\n" for line in lines))
+
+
 def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) -> None:
     """Print rows of names in columns.
 
@@ -65,8 +71,7 @@ def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) ->
     widths = [0] * len(rows[0]) if widths is None else widths
     columns = zip(*rows, strict=True)
     widths[:] = [max(w, *map(len, column)) for w, column in zip(widths, columns, strict=True)]
-    lines = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
-    say_names("".join(f"{line}\n" for line in lines))
+    say_lines("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
 def counted(count: int, noun: str) -> str:

@@ -25,7 +25,7 @@ import typer
 from turtleact.commands import VERBS, completion
 from turtleact.commands.app import SETTINGS, ManyVerb, new_group, verb
 from turtleact.commands.options import Interfaces, argument, flag, value
-from turtleact.commands.output import say, say_names, write_file
+from turtleact.commands.output import say, say_lines, write_file
 from turtleact.commands.settings import ConnectOptions, Fleet, Service, WrongOptions, quoted
 from turtleact.commands.user_code import Program, Programs, run_program, runnable_here
 from turtleact.errors import TurtleactError
@@ -240,7 +240,7 @@ def create(
 @verb(pkg, "list")
 def list_() -> None:
     """List all packages: in the working directory, and built in."""
-    say_names("".join(f"{name}\n" for name in sorted(runnable_here())))
+    say_lines(sorted(runnable_here()))
 
 
 @verb(pkg)
@@ -253,7 +253,7 @@ def executables(
     """List the executables of one package or of all packages."""
     known = runnable_here()
     names = sorted(known) if package is None else [package]
-    say_names("".join(f"{name} {each}\n" for name in names for each in _programs_of(known, name)))
+    say_lines(f"{name} {each}" for name in names for each in _programs_of(known, name))
 
 
 def _check_package(name: str) -> None:
