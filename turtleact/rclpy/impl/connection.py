@@ -49,7 +49,6 @@ __all__ = [
     "Connection",
     "EventLoop",
     "OpenTransport",
-    "RequestHandler",
     "Respond",
     "Sender",
     "ServiceEnd",
@@ -290,7 +289,7 @@ class Connection:
         format = _format(endpoint)
         return self.open(lambda each: each.subscribe(endpoint, format, take, in_any_thread=True))
 
-    def serve(self, endpoint: Endpoint, handler: RequestHandler) -> Close:
+    def serve(self, endpoint: Endpoint, handler: ServiceHandler) -> Close:
         """Open a server of a service."""
         return self.open(lambda transport: transport.serve(endpoint, _format(endpoint), handler))
 
@@ -382,33 +381,8 @@ class SwitchableEvents(CallObserver):
             self._connection.loop.post(before.close)
 
 
-class RequestHandler(ServiceHandler):
-    """Passes the requests for a service to a function that may answer in any thread, at any time.
-
-    Args:
-        take: Called in the event loop, with a request and the function that answers it.
-        observer: Gets the requests and the responses.
-    """
-
-    def __init__(
-        self, take: Callable[[bytes, Respond], None], observer: CallObserver | None = None
-    ) -> None:
-        self._take = take
-        self.observer = observer
-
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
-        """Pass a request to the function ``take``, and wait for the answer."""
-        answered: Future[Reply | TurtleactError] = Future()
-        answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
-        self._take(cast("bytes", request), answered.set_result)
-        reply = await asyncio.wrap_future(answered)
-        if isinstance(reply, TurtleactError):
-            raise reply
-        return reply
-
-
-class ServiceEnd:
-    """Receives the requests for a service.
+class ServiceEnd(ServiceHandler):
+    """Receives the requests for a service, for a function that may answer in any thread.
 
     Args:
         connection: The connection to the graph.
@@ -425,8 +399,19 @@ class ServiceEnd:
         endpoint: Endpoint,
         take: Callable[[bytes, Respond], None],
     ) -> None:
-        self.events = SwitchableEvents(connection, endpoint)
-        self._leave = connection.serve(endpoint, RequestHandler(take, self.events))
+        self._take = take
+        self.events = self.observer = SwitchableEvents(connection, endpoint)
+        self._leave = connection.serve(endpoint, self)
+
+    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
+        """Pass a request to the function ``take``, and wait for the answer."""
+        answered: Future[Reply | TurtleactError] = Future()
+        answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
+        self._take(cast("bytes", request), answered.set_result)
+        reply = await asyncio.wrap_future(answered)
+        if isinstance(reply, TurtleactError):
+            raise reply
+        return reply
 
     def close(self) -> None:
         """Publish no more events, and take no more requests."""
