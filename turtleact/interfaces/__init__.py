@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from turtleact.interfaces.cdr import GOAL_ID, FeedbackFormat, WireFormat, decode, encode
 from turtleact.interfaces.classes import Implied, implied
 from turtleact.interfaces.conversion import (
     SECOND,
@@ -57,10 +58,8 @@ from turtleact.interfaces.types import (
     uint64,
     wstring,
 )
-from turtleact.interfaces.wire_format import GOAL_ID, FeedbackFormat, WireFormat
 
 if TYPE_CHECKING:
-    from turtleact.interfaces.cdr import decode, encode
     from turtleact.interfaces.text import from_text, to_json, to_yaml
 
 __all__ = [
@@ -121,11 +120,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import ``cdr``, or ``text`` (which imports PyYAML), at the first use of its functions."""
-    if name in ("decode", "encode"):
-        from turtleact.interfaces import cdr
-
-        return getattr(cdr, name)
+    """Import ``text``, which imports PyYAML, at the first use of its functions."""
     if name in ("from_text", "to_json", "to_yaml"):
         from turtleact.interfaces import text
 

@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 
 from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.goals.wire import read_states
-from turtleact.interfaces.wire_format import GOAL_ID
+from turtleact.interfaces import GOAL_ID
 from turtleact.rclpy.action.endpoints import FEEDBACK_QOS, STATUS, ActionKind, goal_key
 from turtleact.rclpy.impl.entity import (
     QueueEntity,
