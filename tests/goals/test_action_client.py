@@ -42,7 +42,6 @@ from ..lab import (
     result,
     running,
     settle,
-    take_turns,
 )
 
 
@@ -117,43 +116,6 @@ async def test_who_awaits_a_goal_stays_canceled_however_its_body_ends(end, statu
             sent.scope.cancel()
         assert (sent.scope.cancelled_caught, sent.value) == (True, None)
         assert (held.status, held.result) == (status, result(5))
-
-
-@pytest.mark.parametrize("ends", ["succeeded", "canceled"])
-async def test_a_scope_around_an_awaited_goal_is_as_before_afterwards(ends):
-    gate = Gate()
-    async with lab(gate.wait) as served, anyio.create_task_group() as group:
-        with anyio.CancelScope() as scope:
-            if ends == "succeeded":
-                gate.opened.set()
-                await served.client.send_goal(goal())
-            else:
-                group.start_soon(cancel_later, served)
-                with pytest.raises(GoalCanceled):
-                    await served.client.send_goal(goal())
-            await take_turns()
-        assert not scope.cancelled_caught
-
-
-async def cancel_later(served) -> None:
-    await take_turns()
-    await served.client.cancel_all()
-
-
-async def test_a_goal_sent_in_the_clean_up_of_a_canceled_task_runs():
-    async with lab(count) as served:
-        values: list[object] = []
-
-        async def call():
-            try:
-                await anyio.sleep_forever()
-            finally:
-                with anyio.CancelScope(shield=True):
-                    values.append(await served.client.send_goal(goal(1)))
-
-        async with running(call) as beside:
-            beside.scope.cancel()
-        assert values == [result(0)]
 
 
 # --- entering a goal ------------------------------------------------------------------------
@@ -508,16 +470,6 @@ async def test_canceling_the_task_before_its_first_step_sends_nothing():
         with pytest.raises(asyncio.CancelledError):
             await task
         assert served.active == []
-
-
-async def test_it_can_be_started_in_a_task_group_of_anyio():
-    gate = Gate()
-    async with lab(gate.wait) as served:
-        async with anyio.create_task_group() as group:
-            group.start_soon(served.client.send_goal, goal())
-            await gate.started.wait()
-            gate.opened.set()
-        assert gate.log == ["begun", "over"]
 
 
 async def test_what_was_never_begun_can_be_closed():

@@ -180,29 +180,6 @@ async def test_a_goal_that_has_expired_leaves_the_status():
         group.cancel_scope.cancel()
 
 
-async def test_an_observer_that_does_not_latch_gets_only_what_changes():
-    async with lab(count) as served:
-        wire = Wire(served.node)
-        watched = wire.watch(QoS())
-        assert watched.drain() == []
-        await wire.send()
-        await wire.get()
-        assert story(watched) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
-
-
-async def test_goals_that_wait_are_told_of_too():
-    gate = Gate()
-    async with lab(gate.wait, policy="queue") as served:
-        wire = Wire(served.node)
-        watched = wire.watch()
-        await wire.send(OTHER)
-        await wire.send()
-        await wire.cancel()
-        assert story(watched)[-3:] == ["ACCEPTED", "CANCELING", "CANCELED"]
-        gate.opened.set()
-        assert (await wire.get(OTHER)).status == GoalStatus.SUCCEEDED
-
-
 async def test_who_waits_for_a_result_gets_it_when_the_server_closes():
     gate = Gate()
     async with lab(gate.wait) as served:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
 from functools import partial
 from typing import Any
@@ -34,7 +34,6 @@ from ..lab import (
     once_canceled,
     result,
     running,
-    settle,
 )
 
 
@@ -474,17 +473,6 @@ async def test_a_scope_around_a_yield_lets_a_cancel_request_pass(send):
     assert (outcome.status, caught) == (GoalStatus.CANCELED, [False])
 
 
-async def timed_out_scope():
-    with anyio.move_on_after(0):
-        await anyio.sleep_forever()
-    return result(1)
-
-
-@both_styles(timed_out_scope)
-async def test_a_bodys_own_timeout_is_its_own_affair(body, send):
-    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
-
-
 async def native_timeout():
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0):
@@ -507,25 +495,6 @@ async def test_a_task_group_around_a_yield_whose_child_fails_aborts_the_goal(sen
 
     expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
     assert await end_of(body, send) == expected
-
-
-async def test_the_children_of_a_body_end_with_it(send):
-    log: list[str] = []
-
-    async def child():
-        try:
-            await anyio.sleep_forever()
-        finally:
-            log.append("child over")
-
-    async def body(goal):
-        async with anyio.create_task_group() as group:
-            group.start_soon(child)
-            while True:
-                yield feedback(1)
-
-    outcome = await canceled_end_of(body, send)
-    assert (outcome.status, log) == (GoalStatus.CANCELED, ["child over"])
 
 
 # --- a generator is closed on every path ----------------------------------------------------
@@ -674,29 +643,6 @@ async def test_a_body_sees_that_it_was_asked_to_cancel(send):
 
 # --- back-pressure --------------------------------------------------------------------------
 
-MANY = 5 * FeedbackLog.KEPT
-
-
-class Source:
-    """A generator body that yields as fast as it is let, and counts."""
-
-    def __init__(self) -> None:
-        self.published = 0
-
-    async def stream(self, goal: Count.Goal) -> AsyncIterator[object]:
-        for number in range(MANY):
-            self.published += 1
-            yield feedback(number)
-        yield result(MANY)
-
-    async def settle(self) -> int:
-        """Let it run until it is held up, or has ended; answer how far it has come."""
-        while True:
-            before = self.published
-            await settle()
-            if self.published == before:
-                return before
-
 
 async def test_a_client_that_only_awaits_the_result_does_not_hold_the_body_up(send):
     async def body(request):
@@ -730,19 +676,6 @@ async def test_a_body_that_only_yields_lets_others_run():
 # --- the caller's task ----------------------------------------------------------------------
 
 PARENT: ContextVar[str] = ContextVar("PARENT", default="nobody")
-
-
-@ON_ASYNCIO
-async def test_an_awaited_body_runs_in_a_task_of_its_own():
-    seen: list[object] = []
-
-    async def body(goal):
-        await asyncio.sleep(0)
-        seen.append(asyncio.current_task())
-        return result()
-
-    await end_of(body, awaited)
-    assert seen != [asyncio.current_task()]
 
 
 async def test_a_body_sees_the_context_of_its_caller(send):

@@ -46,15 +46,6 @@ def test_what_is_kept_is_a_run_that_ends_with_the_newest(steps: list[str], befor
     assert log.items == list(range(log.dropped, log.count))
 
 
-def test_trimming_moves_the_rest_only_once_it_is_worth_it():
-    log = log_of(KEPT + 1)
-    log.trim()
-    assert log.dropped == 0
-    log = log_of(2 * KEPT - 1)
-    log.trim()
-    assert (log.dropped, len(log.items)) == (KEPT - 1, KEPT)
-
-
 def test_a_reader_far_behind_does_not_make_each_message_dear():
     log = FeedbackLog(is_kept=True)
     log.read = 0

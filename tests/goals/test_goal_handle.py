@@ -285,13 +285,6 @@ async def test_a_goal_that_was_never_held_is_unknown(where):
             await served.client.attach(ID).__aenter__()
 
 
-async def test_a_goal_of_another_action_is_unknown():
-    async with lab(Gate().wait) as served, served.client.send_goal(goal(), goal_id=ID):
-        served.node.action_server(Count, "other", count)
-        with pytest.raises(UnknownGoal):
-            await served.node.action_client(Count, "other").attach(ID)
-
-
 async def test_what_is_no_goal_id_is_refused():
     async with lab(count) as served:
         with pytest.raises(InvalidName, match="a goal id has"):
@@ -336,18 +329,6 @@ async def test_leaving_a_goal_of_others_lets_it_go_on(where):
         assert await sent.result() == result(7)
 
 
-async def test_canceling_who_holds_a_goal_of_others_lets_it_go_on():
-    async with lab(Gate().wait) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
-
-        async def watch():
-            async with served.client.attach(ID) as handle:
-                await handle.result()
-
-        async with running(watch) as beside:
-            beside.scope.cancel()
-        assert sent.status is GoalStatus.EXECUTING
-
-
 async def test_a_goal_of_others_can_be_canceled(where):
     async with (
         where(Gate().wait) as served,
@@ -366,12 +347,6 @@ async def test_the_failure_of_a_goal_of_others_is_told(where):
         assert (await handle.outcome()).reason == "no pen"
         with pytest.raises(GoalAborted, match="no pen"):
             await handle.result()
-
-
-async def test_each_observer_reads_all_feedback_for_itself():
-    async with lab(Gate().stream) as served, served.client.send_goal(goal(), goal_id=ID) as sent:
-        handles = [sent, *[await served.client.attach(ID) for _ in range(3)]]
-        assert [await anext(handle) for handle in handles] == [feedback(0)] * 4
 
 
 async def test_an_observer_that_never_reads_on_holds_nobody_up_and_keeps_the_newest():
@@ -466,19 +441,6 @@ async def test_a_goal_can_be_canceled_without_waiting(where):
         handle.cancel_nowait()
         assert (await handle.outcome()).status is GoalStatus.CANCELED
         assert gate.log == ["begun", "canceled", "over"]
-
-
-async def test_a_goal_that_waits_is_canceled_at_once_without_waiting():
-    gate = Gate()
-    async with (
-        lab(gate.wait, policy="queue") as served,
-        served.client.send_goal(goal()) as _,
-        served.client.send_goal(goal()) as handle,
-    ):
-        handle.cancel_nowait()
-        await settle()
-        assert handle.status is GoalStatus.CANCELED
-        assert gate.log == ["begun"]
 
 
 @pytest.mark.parametrize("waits", [False, True])

@@ -91,20 +91,6 @@ async def test_a_goal_that_is_not_accepted_is_rejected(where, answer, reason, wa
         assert "no idea" in str(record.exc_info)
 
 
-async def test_a_goal_callback_is_asked_once_a_goal():
-    asked: list[int] = []
-
-    async def callback(request):
-        asked.append(request.upto)
-        return GoalResponse.ACCEPT
-
-    async with lab(count, goal_callback=callback) as served:
-        await served.client.send_goal(goal(1))
-        async with served.client.send_goal(goal(2)) as handle:
-            await handle.result()
-    assert asked == [1, 2]
-
-
 async def test_a_goal_that_is_canceled_while_it_is_put_to_the_callback_never_begins():
     gate, asking = Gate(), anyio.Event()
 
@@ -199,21 +185,6 @@ async def test_a_goal_that_the_callback_does_not_let_go_goes_on(where, answer, w
         assert ("turtleact.server", logging.ERROR, told) in caplog.record_tuples
 
 
-async def test_a_cancel_callback_gets_the_goals_handle():
-    seen: list[object] = []
-
-    def callback(handle):
-        seen.append((handle.goal_id, handle.request, handle.status))
-        return CancelResponse.ACCEPT
-
-    async with (
-        lab(Gate().wait, cancel_callback=callback) as served,
-        served.client.send_goal(goal(7)) as handle,
-    ):
-        await handle.cancel()
-        assert seen == [(handle.goal_id, goal(7), GoalStatus.EXECUTING)]
-
-
 class Asked:
     """A cancel_callback that lets go of some goals, by their number, and counts."""
 
@@ -242,18 +213,6 @@ async def test_each_goal_is_asked_for_once():
         asked.let_go = (1,)
         await served.client.cancel_all()
     assert isinstance(first.error, GoalCanceled)
-
-
-async def test_if_none_of_several_is_let_go_the_request_is_rejected():
-    gate = Gate()
-    async with (
-        lab(gate.wait, cancel_callback=answering(CancelResponse.REJECT)) as served,
-        running(lambda: served.client.send_goal(goal(1))),
-        running(lambda: served.client.send_goal(goal(2))),
-    ):
-        response = await served.client.cancel_all()
-        assert (response.return_code, ids(response)) == (CancelCode.REJECTED, [])
-        gate.opened.set()
 
 
 async def test_a_goal_that_is_canceling_already_is_listed_again_and_not_asked_for(where):

@@ -394,17 +394,6 @@ async def test_lost_feedback_is_waited_for_and_then_logged(caplog, monkeypatch):
     assert "2 feedback messages of goal" in caplog.text
 
 
-async def test_a_second_attachment_of_a_client_shares_the_goal():
-    gate = Gate()
-    async with (
-        apart(gate.wait) as served,
-        served.client.send_goal(goal(), goal_id=ID) as own,
-        served.client.attach(ID) as again,
-    ):
-        gate.opened.set()
-        assert await again.result() == await own.result() == result(3)
-
-
 async def test_tasks_that_attach_to_a_goal_at_once_share_it():
     gate, readers = Gate(), list[Any]()
 

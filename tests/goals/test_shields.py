@@ -205,26 +205,6 @@ async def test_a_goal_whose_caller_was_canceled_is_canceling_while_it_cleans_up(
     assert seen == [GoalStatus.CANCELING]
 
 
-async def test_a_scope_within_the_body_does_not_make_its_goal_canceling(send):
-    seen: list[GoalStatus] = []
-
-    async def act(request: Count.Goal, handle: Any) -> Count.Result:
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            try:
-                await anyio.sleep_forever()
-            finally:
-                with anyio.CancelScope(shield=True):
-                    await anyio.lowlevel.checkpoint()
-                    seen.append(handle.status)
-        seen.append(handle.status)
-        return result()
-
-    async with lab(act) as served:
-        assert (await send(served, goal())).status is GoalStatus.SUCCEEDED
-    assert seen == [GoalStatus.EXECUTING] * 2
-
-
 # --- one inside the other ---------------------------------------------------------------------
 
 DEEP = 400
