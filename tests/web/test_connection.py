@@ -500,6 +500,12 @@ async def test_a_level_says_how_much_is_told(level, heard):
         assert await client.hears_nothing()
 
 
+async def test_an_unknown_level_is_told_though_the_client_has_asked_for_nothing_yet():
+    async with bridged() as (_, bridge), line(bridge) as client:
+        client.say("set_level", level="loud")
+        assert "no level 'loud'" in (await client.hear())["msg"]
+
+
 async def test_what_pythons_json_writes_is_read():
     async with bridged() as (node, bridge), line(bridge) as client:
         heard = node.subscription(Point, "here")
