@@ -124,6 +124,7 @@ class MessageVerb(Verb):
             return left
         name = [each for each in self.params if each.param_type_name == "argument"][-1].name or ""
         first, text = ctx.params["type_name"], ctx.params[name]
+        # Without a type, the message begins where the type would be.
         given = (text,) if first is None or TYPE_NAME.fullmatch(first) else (first, text)
         words = [each for each in (*given, *left) if each is not None]
         if len(words) > 1 and ":" in "".join(words):
@@ -293,6 +294,7 @@ def _command(
                 status = function(**values)
         except WrongOptions as error:
             ctx.fail(printable(str(error)))
+        # For these, Typer would print a text of its own, and exit with a status of its own.
         except (EOFError, KeyboardInterrupt, OSError, SystemExit) as error:
             raise _Ended(error) from None
         raise typer.Exit(status)

@@ -206,6 +206,7 @@ async def open_or_embed(
                     yield there
                     return
                 why = await none_in_domain(there.transport, reach, what)
+                # The world has a transport and a clock of its own, so nothing of this graph stays.
                 await stack.aclose()
         node = await stack.enter_async_context(world(why))
         reason = f", because {why}" if why else ""

@@ -214,6 +214,7 @@ class Dashboard:
         self._goals[goal_id].change(new)
         if new.is_terminal:
             self._ended.append(goal_id)
+        # Goals that have ended make room for others. Those that run are always kept.
         while len(self._ended) > MOST_ENDED:
             del self._goals[self._ended.popleft()]
 
@@ -273,7 +274,7 @@ class _Served:
         self.ended_at: float | None = None
         drives, leader = sends_a_turtle(goal.action_name, goal.request)
         self._turtle = leader.removesuffix(POSE).strip("/") if drives else ""
-        if drives and self._course.stops > 0:
+        if self._course.stops:
             self._poses = goal.node.subscription(TurtlePose, leader, QoS(depth=POSES_A_FRAME))
 
     def change(self, status: GoalStatus) -> None:
@@ -300,14 +301,14 @@ class _Served:
         is_over = self.ended_at is not None
         turtle = self._turtle if self._turtle in turtles else ""
         colour = colour_of(turtle) if turtle else ""
-        targets = [] if is_over or self._poses is None else self._course.targets()
+        targets = [] if is_over else self._course.targets()
         marks = {"resumed": self._goal.resumed is not None, "paused": self._goal.is_paused}
         return GoalView(
             self._goal.action_name,
             self._goal.goal_id.hex(),
             self._status,
             (self._clock.time() if self.ended_at is None else self.ended_at) - self._began,
-            "" if self._poses is None else self._course.told(),
+            self._course.told(),
             [mark for mark, holds in marks.items() if holds],
             turtle,
             [target._replace(colour=colour or target.colour) for target in targets],

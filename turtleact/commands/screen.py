@@ -155,6 +155,8 @@ class Screen:
             redirect_stderr=False,
             vertical_overflow="crop",
         )
+        # At the end, this is undone in reverse: lines go to stdout again, the last lines and the
+        # last frame are drawn, rich shows the cursor, all is written, and the terminal echoes.
         with ExitStack() as stack:
             if can_read_keys():
                 self._restore = stack.enter_context(cbreak(sys.stdin))

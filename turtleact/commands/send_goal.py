@@ -403,6 +403,7 @@ class GoalSender:
             except ServerUnavailable:
                 return  # the task that waits for the goal raises that too
             self._awaits_cancel = False
+            # The server has agreed. Once the goal has ended, `_send` cancels this task.
             if sent.handle.status is GoalStatus.CANCELING or sent.handle.status.is_terminal:
                 await anyio.sleep_forever()
             note("the server refuses to cancel the goal")
