@@ -552,12 +552,7 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
         return await self._client._attach(self._goal_id)
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         """Leave the block. The goal continues."""
 
 

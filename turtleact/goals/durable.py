@@ -47,7 +47,7 @@ class DurableGoals(GoalObserver):
 
     Args:
         server: The server.
-        options: The server's options, with ``journal``, ``on_restart`` and ``result_timeout``.
+        options: The server's options, with ``journal`` and ``on_restart``.
         consider: Asks the ``goal_callback`` about a goal; None if there is no such callback.
         starts_at_once: Whether goals start as soon as they are accepted, because there is no slot.
 
@@ -66,7 +66,6 @@ class DurableGoals(GoalObserver):
         *,
         starts_at_once: bool,
     ) -> None:
-        result_timeout = options.get("result_timeout", 10.0)
         self.resumes = options.get("on_restart") == "resume"
         self.is_built_in = False
         self.restored = anyio.Event()
@@ -74,7 +73,6 @@ class DurableGoals(GoalObserver):
         self._server = server
         self._journal = cast("GoalJournal", options["journal"])
         self._consider = consider
-        self._keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
         self._name = server.name
         self._accepting: dict[bytes, anyio.Event] = {}  # goals on their way to the disk, by id
         self._starts_at_once = starts_at_once
@@ -249,13 +247,13 @@ class DurableGoals(GoalObserver):
 
     def conclude(self, goal: Goal, event: GoalEvent, reason: str) -> None:
         """Record a goal's end, and announce the end after it has been written to disk."""
-        now = time.time_ns()
+        now, keep_ns = time.time_ns(), self._server.table.keep_ns
         change = GoalChange(
             status=TRANSITIONS[goal.status, event],
             result=self._results.encode(goal.result),
             reason=encodable(reason),
             ended=now,
-            expires=0 if self._keep_ns is None else now + self._keep_ns,
+            expires=0 if keep_ns is None else now + keep_ns,
         )
         self._journal.end(goal.id, change, partial(self._announce, goal, event, reason))
 

@@ -415,6 +415,9 @@ class GoalTable:
 
     Args:
         result_timeout: How long to keep a goal after its end (s); None to keep it for ever.
+
+    Attributes:
+        keep_ns: How long a goal is kept after its end (ns); None for ever.
     """
 
     KEPT: Final = 1 << 14
@@ -422,7 +425,7 @@ class GoalTable:
     so the timeout alone would not limit them."""
 
     def __init__(self, result_timeout: float | None = 10.0) -> None:
-        self._keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
+        self.keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
         self._goals: dict[bytes, Goal] = {}  # in the order of acceptance
         self._active: dict[Goal, None] = {}
         self._ended: deque[Goal] = deque()  # in the order of their ends
@@ -458,7 +461,7 @@ class GoalTable:
         """
         goal.ended = now
         self._active.pop(goal, None)
-        if self._keep_ns is not None:
+        if self.keep_ns is not None:
             self._ended.append(goal)
             self.expire(now)
 
@@ -474,13 +477,13 @@ class GoalTable:
 
     def next_expiry(self) -> int | None:
         """When the next goal expires (ns since the epoch); None if no goal has to expire."""
-        if self._keep_ns is None or not self._ended:
+        if self.keep_ns is None or not self._ended:
             return None
-        return self._ended[0].ended + self._keep_ns
+        return self._ended[0].ended + self.keep_ns
 
     def expire(self, now: int) -> None:
         """Forget the goals that have expired."""
-        ended, keep_ns = self._ended, self._keep_ns
+        ended, keep_ns = self._ended, self.keep_ns
         if keep_ns is None:
             return
         while ended and (ended[0].ended + keep_ns <= now or len(ended) > self.KEPT):

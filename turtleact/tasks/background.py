@@ -10,8 +10,7 @@ from concurrent.futures import Future
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from functools import wraps
 from threading import Thread, get_ident
-from types import TracebackType
-from typing import NoReturn, ParamSpec, TypeVar
+from typing import Any, NoReturn, ParamSpec, TypeVar
 
 import anyio
 
@@ -235,13 +234,8 @@ class _Opening(AbstractAsyncContextManager[T]):
     async def __aenter__(self) -> T:
         return await self._manager.__aenter__()
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool | None:
-        return await self._manager.__aexit__(kind, error, trace)
+    async def __aexit__(self, *raised: Any) -> bool | None:  # noqa: ANN401  # kind, error, trace
+        return await self._manager.__aexit__(*raised)
 
     def __enter__(self) -> NoReturn:
         raise TypeError(f"'async' is missing: {self._advice}")
