@@ -51,6 +51,10 @@ class Untyped(Generic[T]):
         learner: Learns the type.
         owner: Closes this object when the node closes.
         open: Opens what does the work, with the class of the type and the name.
+
+    Attributes:
+        name: The full name.
+        is_open: Whether this object can still be used.
     """
 
     def __init__(
@@ -58,7 +62,7 @@ class Untyped(Generic[T]):
     ) -> None:
         self.is_open = True
         self._kind: Final = kind
-        self._name: Final = name
+        self.name: Final = name
         self._learner = learner
         self._open = open
         self._opened: T | None = None
@@ -76,7 +80,7 @@ class Untyped(Generic[T]):
             await self._opened.aclose()
 
     def _find(self) -> object | None:
-        return self._learner.uses(self._name, self._kind) or None
+        return self._learner.uses(self.name, self._kind) or None
 
     async def _typed(self) -> T:
         """Learn the type at the first call, and return what does the work.
@@ -91,11 +95,11 @@ class Untyped(Generic[T]):
             try:
                 async with self._lock:
                     if self._opened is None and self.is_open:
-                        self._opened = self._open(await self._learn(), self._name)
+                        self._opened = self._open(await self._learn(), self.name)
             finally:
                 self._waits.discard(scope)
         if self._opened is None:
-            raise TurtleactError(f"the client of {self._kind} '{self._name}' is closed")
+            raise TurtleactError(f"the client of {self._kind} '{self.name}' is closed")
         return self._opened
 
     async def _learn(self) -> object:
@@ -103,23 +107,18 @@ class Untyped(Generic[T]):
         if self._kind == "topic":
             await wait_until_served(transport, self._find, None)
         elif await find_server(transport, self._find) is None:
-            raise ServerUnavailable(self._name, "no server answers", kind=self._kind)
-        return await self._learner.wait_for(self._name, self._kind)
+            raise ServerUnavailable(self.name, "no server answers", kind=self._kind)
+        return await self._learner.wait_for(self.name, self._kind)
 
 
 class UntypedActionClient(Untyped[ActionClient[Any, Any, Any]]):
     """An `ActionClient` whose type is learned at the first await."""
 
     @property
-    def name(self) -> str:
-        """The fully qualified name of the action."""
-        return self._name
-
-    @property
     def action_type(self) -> Any:  # noqa: ANN401  # as of `get_action`
         """The action, once it is known; before that, this raises `TurtleactError`."""
         if self._opened is None:
-            problem = f"the type of action '{self._name}' is not known before the first await"
+            problem = f"the type of action '{self.name}' is not known before the first await"
             raise TurtleactError(problem)
         return self._opened.action_type
 
@@ -154,11 +153,6 @@ class UntypedActionClient(Untyped[ActionClient[Any, Any, Any]]):
 class UntypedServiceClient(Untyped[ServiceClient[Any, Any]]):
     """A `ServiceClient` whose type is learned at the first await."""
 
-    @property
-    def name(self) -> str:
-        """The fully qualified name of the service."""
-        return self._name
-
     async def call(
         self, request: Message | Mapping[str, object], timeout: float | None = None
     ) -> Any:  # noqa: ANN401  # a response of the learned type
@@ -182,7 +176,7 @@ class UntypedSubscription(Untyped[Subscription[Any]]):
     @property
     def topic(self) -> str:
         """The fully qualified name of the topic."""
-        return self._name
+        return self.name
 
     def __aiter__(self) -> Self:
         return self
