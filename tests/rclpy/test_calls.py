@@ -126,6 +126,13 @@ def test_a_node_describes_its_types_to_other_processes(others, node):
     assert described.type_name == "example_interfaces/srv/AddTwoInts"
 
 
+def test_a_node_describes_its_types_to_its_own_process(node, executor):
+    describe = interface_class("type_description_interfaces/srv/GetTypeDescription")
+    client = node.create_client(describe, "/lab/get_type_description")
+    wanted = hash_of("type_description_interfaces/srv/GetTypeDescription")
+    assert done(executor, client.call_async(describe.Request(type_hash=wanted))).successful
+
+
 def test_a_client_of_turtleact_sends_a_goal_to_rclpy(others, node, executor):
     def execute(goal_handle):
         goal_handle.publish_feedback(Fibonacci.Feedback(sequence=[8]))

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import msgspec
 
@@ -115,7 +115,7 @@ class MemoryTransport:
     def serve(
         self,
         endpoint: Endpoint,
-        format: Format,  # noqa: ARG002  # as above
+        format: Format,
         handler: ServiceHandler,
     ) -> Closeable:
         """Offer ``handler`` as a server of a service. Requests go to the oldest handler.
@@ -123,7 +123,7 @@ class MemoryTransport:
         If a node offers several handlers of a service, the graph shows them as one endpoint until
         the last of them is closed.
         """
-        key, offer = _key(endpoint), _Offer(handler, endpoint.node)
+        key, offer = _key(endpoint), _Offer(handler, endpoint.node, format)
         offers = self._handlers.setdefault(key, [])
         offers.append(offer)
         server = (*key, endpoint.node)
@@ -136,18 +136,23 @@ class MemoryTransport:
     def join(
         self,
         endpoint: Endpoint,
-        format: Format,  # noqa: ARG002  # as above
+        format: Format,
         target: Target = EVERY_SERVER,  # noqa: ARG002  # a request goes to the first server
     ) -> Caller:
         """Show a client of a service on the graph, and return the object that calls the service."""
-        caller = _Caller(self, endpoint, endpoint.gid or next(self._count).to_bytes(16))
+        gid = endpoint.gid or next(self._count).to_bytes(16)
+        caller = _Caller(self, endpoint, gid, is_raw=isinstance(format, RawFormat))
         leave = partial(self.client_lost, endpoint.name, caller.gid)
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
     def local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service, oldest first."""
-        return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
+        return tuple(offer.handler for offer in self.offers(name, type_name))
+
+    def offers(self, name: str, type_name: str) -> list[_Offer]:
+        """All offers of a service, oldest first."""
+        return self._handlers.get((name, type_name), [])
 
     def client_lost(self, name: str, gid: bytes) -> None:
         """Tell all servers of the services called ``name`` that a client has gone."""
@@ -377,9 +382,12 @@ class _Caller:
 
     on_close: Leave
 
-    def __init__(self, transport: MemoryTransport, endpoint: Endpoint, gid: bytes) -> None:
+    def __init__(
+        self, transport: MemoryTransport, endpoint: Endpoint, gid: bytes, *, is_raw: bool
+    ) -> None:
         self.endpoint = endpoint
         self.gid = gid
+        self._is_raw = is_raw
         self.observer: CallObserver | None = None
         self._sequence = 0
         self._calls = 0  # under way
@@ -388,22 +396,23 @@ class _Caller:
 
     @property
     def is_served(self) -> bool:
-        return self._handler() is not None
+        return bool(self._offers())
 
     async def call(self, request: object, note: str = "") -> Reply:  # noqa: ARG002
-        name, handler = self.endpoint.name, self._handler()
+        name, offers = self.endpoint.name, self._offers()
         if not self._is_open:
             raise TurtleactError(f"the client of service '{name}' is closed: open another")
-        if handler is None:
+        if not offers:
             raise ServerUnavailable(name, self.why_not_served(), kind="service")
+        offer = offers[0]
         self._calls += 1
         self._sequence += 1
         sequence = self._sequence
-        observers = [each for each in (self.observer, handler.observer) if each is not None]
+        observers = [each for each in (self.observer, offer.handler.observer) if each is not None]
         for each in observers:
             each.requested(request, self.gid, sequence)
         try:
-            reply = await handler.reply(request, self.gid)
+            reply = await self._answer(offer, request)
         except TurtleactError:
             raise
         except Exception as error:
@@ -436,9 +445,16 @@ class _Caller:
         if not self._calls:
             self.on_close()
 
-    def _handler(self) -> ServiceHandler | None:
-        handlers = self._transport.local(self.endpoint.name, self.endpoint.type_name)
-        return handlers[0] if handlers else None
+    def _offers(self) -> list[_Offer]:
+        return self._transport.offers(self.endpoint.name, self.endpoint.type_name)
+
+    async def _answer(self, offer: _Offer, request: object) -> Reply:
+        """Pass a request to a server. If this client's messages are encoded, encode the reply."""
+        if not self._is_raw or isinstance(offer.format, RawFormat):
+            return await offer.handler.reply(request, self.gid)
+        decoded = offer.format.decode(cast("bytes", request))
+        reply = await offer.handler.reply(decoded, self.gid)
+        return Reply(offer.format.encode(reply.message), reply.note)
 
 
 class _Offer(msgspec.Struct, eq=False):
@@ -446,6 +462,7 @@ class _Offer(msgspec.Struct, eq=False):
 
     handler: ServiceHandler
     node: str
+    format: Format
 
 
 def _nothing() -> None:
