@@ -332,7 +332,6 @@ class SwitchableEvents(CallObserver):
         self._connection = connection
         self._service = service
         self._events: ServiceEvents | None = None
-        self._lock = threading.Lock()  # any thread may report a call
 
     def configure(self, mode: Introspection, now: Callable[[], int], profile: QoSProfile) -> None:
         """Choose what to publish, the clock for the stamps, and the topic's quality of service."""
@@ -363,20 +362,19 @@ class SwitchableEvents(CallObserver):
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
         """Publish that a request was sent or received."""
-        with self._lock:
-            if self._events is not None:
-                self._events.requested(request, gid, sequence)
+        events = self._events  # another thread may close it meanwhile
+        if events is not None:
+            events.requested(request, gid, sequence)
 
     def responded(self, response: object, gid: bytes, sequence: int) -> None:
         """Publish that a response was sent or received."""
-        with self._lock:
-            if self._events is not None:
-                self._events.responded(response, gid, sequence)
+        events = self._events
+        if events is not None:
+            events.responded(response, gid, sequence)
 
     def close(self) -> None:
         """Publish no more events, and leave the topic."""
-        with self._lock:
-            before, self._events = self._events, None
+        before, self._events = self._events, None
         if before is not None:
             self._connection.loop.post(before.close)
 
