@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, asynccontextmanager
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from turtleact.actions import serve_built_ins
 from turtleact.goals.records import GoalJournal, OnRestart
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from turtleact.goals.service_server import Introspection
 
 __all__ = ["OpenGraph", "WorldNode", "open_world"]
+
+N = TypeVar("N", bound=Node)
 
 OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
 """A function that takes a clock and opens a graph. The nodes on the graph share that clock."""
@@ -139,14 +141,18 @@ async def open_world(
         await stack.enter_async_context(aclosing(Background(clock.run(), "the clock")))
         opened = _within_process(clock) if graph is None else graph(clock)
         transport = await stack.enter_async_context(opened)
-        home = await stack.enter_async_context(open_node("turtlesim", transport=transport))
-        home.introspection = introspection
-        if on_node is not None:
-            on_node(home)
+
+        async def enter(opening: AbstractAsyncContextManager[N]) -> N:
+            node = await stack.enter_async_context(opening)
+            node.introspection = introspection
+            if on_node is not None:
+                on_node(node)
+            return node
+
+        home = await enter(open_node("turtlesim", transport=transport))
         beside = None
         if not turtlesim_only:
-            beside = await stack.enter_async_context(open_node("world", transport=transport))
-            beside.introspection = introspection
+            beside = await enter(open_node("world", transport=transport))
         sim = Turtlesim(home, world, beside=beside, is_paused=paused)
         await stack.enter_async_context(aclosing(sim))
         if on_start is not None:
@@ -155,20 +161,12 @@ async def open_world(
             home.on_transition(on_transition)
         actions = None
         if not turtlesim_only:
-            opening = open_node("turtle_actions", transport=transport)
-            actions = await stack.enter_async_context(opening)
-            actions.introspection = introspection
-            if on_node is not None:
-                on_node(actions)
+            actions = await enter(open_node("turtle_actions", transport=transport))
             if on_transition is not None:
                 actions.on_transition(on_transition)
             serve_built_ins(actions, side=SIDE, journal=journal, on_restart=on_restart)
         name = "_turtleact" if turtlesim_only else "turtleact"  # turtlesim shows one node
-        node = await stack.enter_async_context(aclosing(WorldNode(name, transport, sim, actions)))
-        node.introspection = introspection
-        if on_node is not None:
-            on_node(node)
-        yield node
+        yield await enter(aclosing(WorldNode(name, transport, sim, actions)))
 
 
 @asynccontextmanager
