@@ -17,7 +17,7 @@ async def test_a_picture_is_that_of_the_world_as_it_looks_now(format, make):
     async with stage() as here:
         here.command(x=2.0, turn=1.0)
         await here.pass_ticks(30)
-        here.sim.pause()
+        here.sim.ticking.pause()
         answer = await here.call(TakeSnapshot, "world/snapshot", format)
         assert (answer.data, answer.problem) == (make(here.sim.snapshot()), "")
 

@@ -240,7 +240,7 @@ class Dashboard:
         ahead = [target for row in rows for target in row.targets if not target.is_reached]
         world = None if sim is None else MapView(SIDE, shown, self._drawn, ahead)
         more = len(self._goals) - len(newest)
-        paused = ["the world is paused"] if sim is not None and sim.is_paused else []
+        paused = ["the world is paused"] if sim is not None and sim.ticking.is_paused else []
         heading = self._heading or [NOT_READY]
         data = PanelData([*heading, *paused], world, rows, more)
         return board(data, width=width, height=height)

@@ -65,6 +65,9 @@ class Turtlesim:
         beside: The node for features that the real turtlesim lacks: control of time, all poses in
             one message, and pictures. If left out, these features are not served.
         is_paused: Whether to pause the world after its first tick.
+
+    Attributes:
+        ticking: Makes the ticks; it can pause them, and make single ones.
     """
 
     def __init__(
@@ -96,43 +99,10 @@ class Turtlesim:
         node.service(Empty, "clear", self._clear)
         node.service(Empty, "reset", self._reset)
         self.tick()  # tick now, so that the world is a tick old before anybody can send a goal
-        self._ticking = Ticking(node.clock, self.tick, is_paused=is_paused)
+        self.ticking = Ticking(node.clock, self.tick, is_paused=is_paused)
         if beside is not None:
-            Simulation(beside, self._ticking, self._restart)
+            Simulation(beside, self.ticking, self._restart)
             Pictures(beside, self.snapshot)
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether the world is paused. While it is paused, only `step` makes ticks."""
-        return self._ticking.is_paused
-
-    def pause(self) -> None:
-        """Pause the world, and stop the node's clock.
-
-        This ends a `step` that is under way. If the world is already paused and no `step` is under
-        way, this does nothing.
-        """
-        self._ticking.pause()
-
-    def resume(self) -> None:
-        """End the pause: the ticks and the node's clock continue from where they stopped.
-
-        This ends a `step` that is under way. If the world is not paused, this does nothing.
-        """
-        self._ticking.resume()
-
-    async def step(self, ticks: int = 1) -> None:
-        """Advance a paused world by ``ticks`` ticks, at the pace of the clock.
-
-        Returns after the last tick.
-
-        Cancelling: the remaining ticks are skipped.
-
-        Raises:
-            SimError: if the world is not paused, if another `step` is under way, if ``ticks`` is
-                negative, or if somebody pauses, resumes or closes the world before the last tick.
-        """
-        await self._ticking.step(ticks)
 
     def snapshot(self) -> Snapshot:
         """Return how the world looks now, as input for `turtleact.sim.pictures`."""
@@ -161,7 +131,7 @@ class Turtlesim:
 
     async def aclose(self) -> None:
         """Stop making ticks."""
-        await self._ticking.aclose()
+        await self.ticking.aclose()
 
     def tick(self) -> None:
         """Make one tick now. The schedule calls this every 16 ms of the clock."""
@@ -213,7 +183,7 @@ class Turtlesim:
 
     def _tell_paused(self) -> None:
         """Tell a new reader where all turtles are while the world is paused and makes no ticks."""
-        if self.is_paused:
+        if self.ticking.is_paused:
             self._tell_fleet()
 
     # turtles that come and go

@@ -61,15 +61,15 @@ class WorldNode(Node):
     @property
     def is_paused(self) -> bool:
         """Whether the world is paused. A paused world runs only the ticks of `step`."""
-        return self.sim.is_paused
+        return self.sim.ticking.is_paused
 
     def pause(self) -> None:
         """Stop the time of the world, for everything that waits on `clock`."""
-        self.sim.pause()
+        self.sim.ticking.pause()
 
     def resume(self) -> None:
         """Let the time of the world continue from where it stopped."""
-        self.sim.resume()
+        self.sim.ticking.resume()
 
     def snapshot(self) -> Snapshot:
         """Return a picture of the world, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
@@ -84,7 +84,7 @@ class WorldNode(Node):
             SimError: if the world is not paused, if another call is stepping it, if ``ticks`` is
                 negative, or if somebody pauses or resumes the world before the last tick.
         """
-        await self.sim.step(ticks)
+        await self.sim.ticking.step(ticks)
 
 
 @opening
