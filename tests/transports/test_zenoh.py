@@ -33,9 +33,7 @@ from turtleact.errors import (
 from turtleact.interfaces import (
     Action,
     Message,
-    Service,
     WireFormat,
-    float64,
     implied,
     int32,
     type_hash,
@@ -537,19 +535,6 @@ async def test_the_same_names_and_gids_are_seen_on_both_sides(peers):
     assert all(len(endpoint.gid) == 16 for endpoint in peers.there.endpoints())
 
 
-async def test_another_domain_is_another_graph(address):
-    async with (
-        open_zenoh([], listen=[address], domain=1) as here,
-        open_zenoh([address], listen=[], domain=2) as there,
-        acquainted(here, there) as meet,
-    ):
-        listen(there)
-        publication = here.advertise(publisher(), SPEECH)
-        await meet()
-        assert (len(here.endpoints()), len(there.endpoints())) == (1, 1)
-        assert not publication.has_readers
-
-
 async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(address, monkeypatch):
     monkeypatch.setattr(services, "GRACE", 0.05)
     async with beside(address) as (transport, other):
@@ -573,20 +558,6 @@ async def test_a_client_that_sees_no_actions_asks_for_the_router(address):
         alone.discovery_ends = 0.0  # do not wait for servers
         with pytest.raises(ServerUnavailable, match=r"are the server and the router running\?$"):
             await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal())
-
-
-async def test_a_goal_can_be_sent_as_soon_as_its_client_is_opened(address):
-    """The client sees the server at once, and can reach it a moment later."""
-
-    async def done(goal: Fibonacci.Goal) -> Fibonacci.Result:
-        return Fibonacci.Result(sequence=[goal.order])
-
-    async with two_nodes(address) as (peers, lab, user):
-        lab.action_server(Fibonacci, "fibonacci", done)
-        await peers.settle()
-        peers.here.discovery_ends = 0.0  # the session is older than that
-        client = user.action_client(Fibonacci, "fibonacci")
-        assert (await client.send_goal(Fibonacci.Goal(order=3))).sequence == [3]
 
 
 RECORDED = """
@@ -1174,18 +1145,6 @@ async def test_a_port_that_is_taken_is_said():
 
 
 @pytest.mark.parametrize(
-    ("endpoint", "said"),
-    [
-        ("foo/bar", "Unicast not supported for foo protocol"),
-        ("tls/127.0.0.1:0", "Cannot create a new TLS listener on .* Missing TLS private key"),
-    ],
-)
-async def test_an_endpoint_that_is_none_to_listen_at_is_said(endpoint, said):
-    with pytest.raises(TurtleactError, match=f"^cannot listen at {endpoint}: {said}$"):
-        await open_zenoh([], mode="router", listen=[endpoint]).__aenter__()
-
-
-@pytest.mark.parametrize(
     ("config", "said"),
     [({"no/such": 1}, "unknown key"), ("{mode: 'boat'}", "unknown variant"), ("{", "Zenoh says")],
 )
@@ -1365,22 +1324,6 @@ async def test_a_description_of_more_than_4_mb_is_refused_before_it_is_decoded(a
         told = r"node /robot: .*the answer has 4,000,\d+ bytes, over 4,000,000"
         with pytest.raises(turtleact.NotLearned, match=told):
             await turtleact.learn_interface(user, "/battery", timeout=5)
-
-
-async def test_the_first_field_in_which_services_differ_is_named(address):
-    with isolated_registry():
-
-        class Wider(Service, type_name=Sum.type_name):
-            class Request(Message):
-                numbers: list[float64] = []
-
-            Response = Sum.Response
-
-    async with two_nodes(address) as (_, lab, user):
-        lab.service(Sum, "add", lambda request: Sum.Response(sum(request.numbers)))
-        told = r"has 'float64\[\] numbers' here, .* there$"
-        with pytest.raises(ServerUnavailable, match=told):
-            await user.service_client(Wider, "add").call(Wider.Request())
 
 
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
