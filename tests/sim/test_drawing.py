@@ -17,6 +17,8 @@ from turtleact.sim.pictures import METER, Colour, Pen
 
 RED, BLUE = Pen(Colour(255, 0, 0), 3), Pen(Colour(0, 0, 255), 5)
 
+# On a grid: a line that bends by less than a millionth of a pixel is drawn as if it was straight,
+# which decides where a pixel goes that lies exactly between two.
 sides = st.integers(0, 11 * 1024).map(lambda number: number / 1024)
 places = st.builds(complex, sides, sides)
 steps = st.builds(cmath.rect, st.floats(0.0, 0.1), st.floats(-3.14, 3.14))
@@ -70,6 +72,12 @@ def test_the_pixels_are_those_of_every_line_in_its_order(hops):
         lines.append((pen, here[turtle], there))
         here[turtle] = there
     assert ours.pixels() == pixels_of(lines)
+
+
+@pytest.mark.parametrize("points", [CIRCLE, path([0.0] * 200), path([0.5, 0.0, 0.0, -0.5] * 20)])
+def test_straight_ways_that_are_drawn_as_one_line_have_the_same_pixels(points):
+    expected = pixels_of([(RED, start, end) for start, end in pairwise(points)])
+    assert draw(Drawing(), points).pixels() == expected
 
 
 def test_a_colour_is_that_of_the_pixel_nearest_to_the_place():

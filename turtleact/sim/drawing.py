@@ -6,8 +6,8 @@ names. Each turtle draws its teleports, senses the colour under it, and then dra
 turtle therefore senses the new lines of turtles with earlier names. A turtle does not sense the
 line of its own step.
 
-`Drawing` stores lines until somebody reads the drawing, or until `UNREAD` lines are stored. Then it
-converts them to pixels and polylines.
+`Drawing` joins the straight steps of a turtle into one line, and stores lines until somebody reads
+the drawing, or until `UNREAD` lines are stored. Then it converts them to pixels and polylines.
 
 - Pixels show every line, and later lines cover earlier lines.
 - A polyline omits a point only if the polyline passes within `TOLERANCE` of the point.
@@ -65,6 +65,9 @@ UNREAD: Final = 1024
 The conversion of so many lines takes a few milliseconds.
 """
 
+_BEND: Final = 1e-6 / METER
+"""Lines that bend by less than this (m) become one line, because no pixel shows the bend."""
+
 THINNEST: Final = 1
 """The actual width (pixels) of a pen with the width 0."""
 
@@ -88,6 +91,8 @@ _Whole: TypeAlias = npt.NDArray[np.int64]
 class Drawing:
     """Everything drawn since the drawing was made or cleared."""
 
+    _pen: Pen
+
     def __init__(self) -> None:
         self.clear()
 
@@ -100,12 +105,23 @@ class Drawing:
             start: Where the line begins, ``x + 1j * depth`` (m).
             end: Where the line ends (m). If it equals ``start``, a dot is drawn.
         """
-        self._unread.append((pen, turtle, start, end))
+        if pen != self._pen:  # later lines cover earlier ones, so these are finished first
+            self._finish_runs()
+            self._pen = pen
+        run = self._runs.get(turtle)
+        if run is not None and run[1] == start and _is_straight(*run, end):
+            self._runs[turtle] = run[0], end
+            return
+        if run is not None:
+            self._unread.append((pen, turtle, *run))
+        self._runs[turtle] = start, end
         if len(self._unread) >= UNREAD:
-            self._read()
+            self._convert()
 
     def clear(self) -> None:
         """Erase everything."""
+        self._pen = Pen()
+        self._runs: dict[int, tuple[complex, complex]] = {}  # unfinished lines, drawn with `_pen`
         self._unread: list[tuple[Pen, int, complex, complex]] = []
         self._canvas = Canvas()
         self._base: bytes | None = None
@@ -138,6 +154,14 @@ class Drawing:
         return [stroke.polyline() for stroke in self._strokes]
 
     def _read(self) -> None:
+        self._finish_runs()
+        self._convert()
+
+    def _finish_runs(self) -> None:
+        self._unread += ((self._pen, turtle, *run) for turtle, run in self._runs.items())
+        self._runs.clear()
+
+    def _convert(self) -> None:
         """Convert the stored lines to pixels and polylines."""
         unread, self._unread = self._unread, []
         for pen, group in groupby(unread, lambda stored: stored[0]):
@@ -264,6 +288,13 @@ class _Holder:
         self.number = number
         self.pen = Pen()
         self.is_on = True
+
+
+def _is_straight(start: complex, middle: complex, end: complex) -> bool:
+    """Whether two lines in a row (m) look like one. A dot has no direction, so it never does."""
+    way, step = middle - start, end - middle
+    turned = step * way.conjugate()
+    return turned.real > 0.0 and abs(turned.imag) <= _BEND * min(abs(way), abs(step))
 
 
 class _Stroke:
