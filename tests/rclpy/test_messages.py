@@ -12,7 +12,7 @@ import pytest
 from turtleact.errors import UnknownInterface
 from turtleact.interfaces import encode as encode_ours
 from turtleact.interfaces import get_message, load_interface
-from turtleact.rclpy import messages
+from turtleact.rclpy import rosidl_runtime
 from turtleact.rclpy.messages import decode, encode, hash_of, interface_class
 
 Point = interface_class("geometry_msgs/msg/Point")
@@ -222,7 +222,31 @@ def test_the_hash_is_that_of_the_interface():
     assert hash_of("std_msgs/msg/String").startswith("RIHS01_df668c")
 
 
+def test_a_message_becomes_plain_values_and_back():
+    pose = Pose(position=Point(x=1.5))
+    plain = rosidl_runtime.message_to_ordereddict(pose)
+    assert plain["position"] == {"x": 1.5, "y": 0.0, "z": 0.0}
+    made = Pose()
+    rosidl_runtime.set_message_fields(made, plain)
+    assert made == pose
+    assert rosidl_runtime.message_to_yaml(pose).startswith("position:\n  x: 1.5")
+    path = interface_class("nav_msgs/msg/Path")()
+    rosidl_runtime.set_message_fields(
+        path, {"poses": [{"header": {"frame_id": "map"}}, pose_at(2.0)]}
+    )
+    assert rosidl_runtime.message_to_ordereddict(path)["poses"][0]["header"]["frame_id"] == "map"
+    assert path.poses[1].pose.position.x == 2.0
+    with pytest.raises(AttributeError, match="no field 'speed'"):
+        rosidl_runtime.set_message_fields(pose, {"speed": 1})
+
+
+def pose_at(x):
+    stamped = interface_class("geometry_msgs/msg/PoseStamped")()
+    stamped.pose.position.x = x
+    return stamped
+
+
 def test_a_class_is_found_by_its_name():
-    assert messages.get_message("geometry_msgs/Point") is Point
-    assert messages.get_service("example_interfaces/srv/AddTwoInts") is AddTwoInts
-    assert messages.get_action("example_interfaces/action/Fibonacci") is Fibonacci
+    assert rosidl_runtime.get_message("geometry_msgs/Point") is Point
+    assert rosidl_runtime.get_service("example_interfaces/srv/AddTwoInts") is AddTwoInts
+    assert rosidl_runtime.get_action("example_interfaces/action/Fibonacci") is Fibonacci

@@ -5,7 +5,7 @@ installed under the name ``rclpy``. The finder provides
 
 - ``rclpy`` and its modules, which are the modules of `turtleact.rclpy` under a second name;
 - ``PKG.msg``, ``PKG.srv`` and ``PKG.action`` of every package with known interfaces;
-- small parts of ``ament_index_python`` and ``rosidl_runtime_py.utilities``.
+- small parts of ``ament_index_python`` and ``rosidl_runtime_py``.
 
 ``from nav2_msgs.action import NavigateToPose`` also finds a type that no installed package has: the
 type is learned. The user's cache is looked at first. If it has no version of the type, or several,
@@ -88,8 +88,10 @@ ALIASES: Final = {
 BESIDE: Final = {
     "ament_index_python": "ament_index",
     "ament_index_python.packages": "ament_index",
-    "rosidl_runtime_py": "messages",
-    "rosidl_runtime_py.utilities": "messages",
+    "rosidl_runtime_py": "rosidl_runtime",
+    "rosidl_runtime_py.convert": "rosidl_runtime",
+    "rosidl_runtime_py.set_message": "rosidl_runtime",
+    "rosidl_runtime_py.utilities": "rosidl_runtime",
 }
 """Modules of other ROS packages, each with the turtleact module that takes its place."""
 

@@ -23,7 +23,6 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Action, Message, Service, snapshotter, type_hash
-from turtleact.interfaces import get_interface as find_by_name
 from turtleact.interfaces.cdr import BYTE_ORDERS, HEADER, MISREAD, UNFIT, decoder, encoder
 from turtleact.interfaces.class_body import Shape
 from turtleact.interfaces.definition import ArrayForm, Field, FieldType, MessageDefinition, zero
@@ -42,10 +41,6 @@ __all__ = [
     "decode",
     "deserialize_message",
     "encode",
-    "get_action",
-    "get_interface",
-    "get_message",
-    "get_service",
     "hash_of",
     "interface_class",
     "serialize_message",
@@ -143,15 +138,6 @@ def interface_class(type_name: str) -> InterfaceClass:
     members = _parts(found.type_name, ("Goal", "Result", "Feedback"))
     members["Impl"] = type("Impl", (), _implied(found.type_name))
     return _whole_class(found, members)
-
-
-def get_interface(identifier: str) -> InterfaceClass:
-    """Return the class of an interface by its full name, or by ``package/Name``."""
-    return interface_class(find_by_name(identifier).type_name)
-
-
-get_message = get_service = get_action = get_interface
-"""The functions of ``rosidl_runtime_py.utilities``."""
 
 
 def _parts(type_name: str, names: tuple[str, ...]) -> dict[str, object]:
