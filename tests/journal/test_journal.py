@@ -21,7 +21,6 @@ from turtleact.goals.records import GoalChange, GoalRecord
 from turtleact.goals.state import GoalStatus
 from turtleact.journal import Journal, JournalError, find_goals, open_journal, prune, read_goals
 from turtleact.journal.database import Accept, Change, Database, Withdraw
-from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 from ..lab import Count, Gate, feedback, goal, result, running, settle
@@ -366,14 +365,6 @@ async def goal_with_a_journal(path: Path, transport: Any) -> float:
             took = lab.clock.time() - began
             sleeper.scope.cancel()
     return took
-
-
-@pytest.mark.loops("asyncio", "trio")
-async def test_a_virtual_clock_stands_still_while_a_write_is_awaited(path, slow):
-    clock = VirtualClock()
-    async with running(clock.run) as driver:
-        assert await goal_with_a_journal(path, MemoryTransport(clock)) == 1.0
-        driver.scope.cancel()
 
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 
@@ -22,7 +21,7 @@ from turtleact.tasks.clock import (
     make_clock,
 )
 
-from ..lab import ON_A_LOOP_THAT_TELLS, ON_ASYNCIO, running, settle
+from ..lab import ON_A_LOOP_THAT_TELLS, running, settle
 
 SECOND = 1_000_000_000
 
@@ -369,19 +368,6 @@ async def test_virtual_time_stands_still_while_anything_can_run(clock):
         assert clock.time() == 1
 
 
-async def test_sleepers_go_on_in_the_order_of_their_deadlines(clock):
-    log: list[float] = []
-
-    async def sleep(seconds: float) -> None:
-        await clock.sleep(seconds)
-        log.append(clock.time())
-
-    async with anyio.create_task_group() as group:
-        for seconds in (3, 1, 2, 0.5):
-            group.start_soon(sleep, seconds)
-    assert log == [0.5, 1, 2, 3]
-
-
 async def lie_down(group: anyio.abc.TaskGroup, clock: VirtualClock, seconds: float, wake) -> None:
     """Start a task that sleeps and then calls ``wake``; it lies before this returns."""
 
@@ -475,36 +461,6 @@ async def test_time_waits_for_a_child_to_be_joined(clock):
     async with anyio.create_task_group() as group:
         group.start_soon(clock.sleep, 2)
         group.start_soon(parent)
-    assert moments == [1]
-
-
-@ON_ASYNCIO
-async def test_time_waits_for_a_callback_that_is_due(clock):
-    moments: list[float] = []
-    loop = asyncio.get_running_loop()
-
-    async def one() -> None:
-        await clock.sleep(1)
-        loop.call_soon(loop.call_soon, lambda: moments.append(clock.time()))
-
-    await asyncio.gather(one(), clock.sleep(2))
-    assert moments == [1]
-
-
-async def test_time_waits_for_a_canceled_scope_to_be_left(clock):
-    moments: list[float] = []
-
-    async def one() -> None:
-        with anyio.CancelScope() as scope:
-            async with anyio.create_task_group() as group:
-                group.start_soon(anyio.sleep_forever)
-                await clock.sleep(1)
-                scope.cancel()
-        moments.append(clock.time())
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(clock.sleep, 2)
-        group.start_soon(one)
     assert moments == [1]
 
 

@@ -36,18 +36,6 @@ async def test_another_event_loop_is_not_home(backend):
         await anyio.to_thread.run_sync(lambda: anyio.run(check, backend=backend))
 
 
-def test_the_next_event_loop_of_a_thread_is_not_home():
-    async def make() -> LoopGuard:
-        return LoopGuard("node '/lab'")
-
-    async def check(home: LoopGuard) -> None:
-        home.check()
-
-    home = asyncio.run(make())
-    with pytest.raises(TurtleactError, match=SAID):
-        asyncio.run(check(home))
-
-
 def test_between_two_runs_the_event_loop_is_home():
     async def make() -> LoopGuard:
         return LoopGuard("node '/lab'")

@@ -25,19 +25,6 @@ async def test_one_is_idle_once_all_others_wait():
         assert worker.done.is_set()
 
 
-async def test_all_who_wait_for_idleness_see_it():
-    seen: list[int] = []
-
-    async def watch(number: int) -> None:
-        await wait_until_idle()
-        seen.append(number)
-
-    async with anyio.create_task_group() as group:
-        for number in range(5):
-            group.start_soon(watch, number)
-    assert sorted(seen) == list(range(5))
-
-
 async def test_one_who_no_longer_waits_for_idleness_is_not_counted():
     busy = anyio.Event()
 
