@@ -37,7 +37,6 @@ from ..lab import (
     result,
     running,
     settle,
-    take_turns,
 )
 
 ACCEPT = ("UNKNOWN", "ACCEPTED")
@@ -243,23 +242,6 @@ async def test_a_hook_may_cancel_another_goal():
         async with served.client.send_goal(goal(2)) as second:
             assert (await first.outcome()).status is GoalStatus.CANCELED
             assert second.status is GoalStatus.EXECUTING
-
-
-async def test_a_hook_may_have_goals_sent():
-    async with lab(count) as served, anyio.create_task_group() as group:
-        results: list[object] = []
-
-        async def send_next(upto):
-            results.append(await served.client.send_goal(goal(upto)))
-
-        def hook(handle, old, new):
-            if new is GoalStatus.SUCCEEDED and handle.request.upto:
-                group.start_soon(send_next, handle.request.upto - 1)
-
-        served.node.on_transition(hook)
-        await served.client.send_goal(goal(2))
-        await take_turns()
-        assert results == [result(0), result()]
 
 
 @pytest.mark.parametrize(

@@ -360,14 +360,6 @@ async def test_a_goal_that_would_wait_for_its_own_parent_is_rejected(send, nest,
 
 
 @ONE_PLACE
-async def test_a_rejection_that_a_parent_does_not_catch_aborts_it(send, options):
-    async with lab(recurse, **options) as served:
-        outcome = await send(served, goal(1))
-        assert outcome.status is GoalStatus.ABORTED
-        assert "it would wait for its own parent" in outcome.reason
-
-
-@ONE_PLACE
 @pytest.mark.parametrize("slot", [None, "turtle1"])
 async def test_a_goal_that_would_wait_for_a_far_parent_is_rejected(send, options, slot):
     """The child in between has the place of its parent, or none."""
