@@ -196,10 +196,12 @@ class Connection:
 
     Attributes:
         loop: The event loop.
+        served: The servers of services in this process, by name and type.
     """
 
     def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:
         self.loop = loop
+        self.served: dict[tuple[str, str], ServiceEnd] = {}
         self._opened = open_transport(domain)
         self._transport = loop.run(self._open)
         self._exploring = loop.start(self._explore)
@@ -366,6 +368,11 @@ class SwitchableEvents(CallObserver):
         if events is not None:
             events.requested(request, gid, sequence)
 
+    @property
+    def are_on(self) -> bool:
+        """Whether events are published."""
+        return self._events is not None
+
     def responded(self, response: object, gid: bytes, sequence: int) -> None:
         """Publish that a response was sent or received."""
         events = self._events
@@ -385,9 +392,10 @@ class ServiceEnd(ServiceHandler):
     Args:
         connection: The connection to the graph.
         endpoint: Describes the server on the graph.
-        take: Called in the event loop, with a request and the function that answers it.
+        take: Called in any thread, with a request and the function that answers it.
 
     Attributes:
+        take: The function that takes the requests.
         events: The publisher of the calls' introspection events.
     """
 
@@ -397,15 +405,17 @@ class ServiceEnd(ServiceHandler):
         endpoint: Endpoint,
         take: Callable[[bytes, Respond], None],
     ) -> None:
-        self._take = take
+        self.take = take
         self.events = self.observer = SwitchableEvents(connection, endpoint)
         self._leave = connection.serve(endpoint, self)
+        self._served, self._key = connection.served, (endpoint.name, endpoint.type_name)
+        self._served[self._key] = self
 
     async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
         """Pass a request to the function ``take``, and wait for the answer."""
         answered: Future[Reply | TurtleactError] = Future()
         answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
-        self._take(cast("bytes", request), answered.set_result)
+        self.take(cast("bytes", request), answered.set_result)
         reply = await asyncio.wrap_future(answered)
         if isinstance(reply, TurtleactError):
             raise reply
@@ -413,6 +423,8 @@ class ServiceEnd(ServiceHandler):
 
     def close(self) -> None:
         """Publish no more events, and take no more requests."""
+        if self._served.get(self._key) is self:
+            del self._served[self._key]
         self.events.close()
         self._leave()
 
@@ -451,6 +463,12 @@ class CallEnd:
             request: The encoded request.
             respond: Called in any thread, with the reply, or with the reason why there is none.
         """
+        # Two switches to the event loop's thread and back would more than double the time of a call
+        # within the process. Only the transport reports calls to those who publish their events.
+        server = self._connection.served.get((self.endpoint.name, self.endpoint.type_name))
+        if server is not None and not (self.events.are_on or server.events.are_on):
+            server.take(request, respond)
+            return
 
         async def call() -> None:
             try:
