@@ -1047,7 +1047,7 @@ async def test_a_handler_that_never_ends_does_not_keep_a_transport_open(address,
 
 
 SERVER = """
-import asyncio, signal, sys, anyio
+import sys, anyio
 from turtleact.interfaces import WireFormat
 from turtleact.transports import open_zenoh
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler, Target
@@ -1059,8 +1059,6 @@ class Silent(ServiceHandler):
         await anyio.sleep_forever()
 
 async def main():
-    # Or Ctrl-C, in the moment before the loop begins to sleep, would be noticed once it wakes.
-    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, int)
     async with open_zenoh([sys.argv[1]], listen=[]) as transport:
         transport.serve(
             Endpoint("service", "/cancel", CancelGoal.type_name, "/far"),
@@ -1101,15 +1099,6 @@ async def test_a_server_that_is_killed_ends_the_calls_to_it(address):
         assert isinstance(called.error, ServerUnavailable)
         assert "the server went away" in str(called.error)
         await until(transport, lambda: len(transport.endpoints()) == 1)
-
-
-async def test_an_interrupted_process_ends(address):
-    async with open_zenoh([], listen=[address]) as transport, far_server(address) as process:
-        caller = transport.join(CANCELER, CANCEL)
-        await until(transport, lambda: caller.is_served)
-        process.send_signal(signal.SIGINT)
-        assert await anyio.to_thread.run_sync(process.wait, 20) != 0
-        await until(transport, lambda: not caller.is_served)
 
 
 # --- opening ----------------------------------------------------------------------------------
@@ -1163,21 +1152,6 @@ async def test_a_whole_file_configures_a_session(address):
         here.enter("/lab")
         await meet()
         assert there.nodes() == ("/lab",)
-
-
-async def test_nodes_meet_by_a_router_over_tcp():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    async with (
-        open_zenoh(mode="router", listen=[at]),
-        open_zenoh([at]) as here,
-        open_zenoh([at], mode="client") as there,
-    ):
-        there.serve(service(), SERVING, Adder())
-        caller = here.join(client(), ASKING)
-        await until(here, lambda: caller.is_served)
-        assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
 
 
 def test_turtleact_is_imported_without_zenoh():
