@@ -100,7 +100,7 @@ def matches(outcome: Outcome[Any], status: GoalStatus, reached: Any, reason: str
 SUCCEEDED, ABORTED, CANCELED = GoalStatus.SUCCEEDED, GoalStatus.ABORTED, GoalStatus.CANCELED
 ABORT = Abort("the pen is empty", result(7))
 NO_RESULT = "no result: (the last value yielded must be|the body must return) a Result"
-NO_FIT = r"(the pen is empty)? \(its result does not fit: .*"
+NO_FIT = r"(the pen is empty )?\(its result does not fit: .*"
 
 ENDS = [
     (result(1, 2), SUCCEEDED, result(1, 2), ""),

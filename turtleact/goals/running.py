@@ -185,7 +185,7 @@ class BodyRunner:
             try:
                 result = self.server.check_result(result)
             except InvalidMessage as error:
-                result, reason = None, f"{reason} (its result does not fit: {error})"
+                result, reason = None, f"{reason} (its result does not fit: {error})".lstrip()
         self.server.end(goal, event, result, reason)
 
     # closing
