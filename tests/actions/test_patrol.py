@@ -219,25 +219,6 @@ async def test_a_canceled_patrol_tells_what_it_has_done():
     assert result.distance == pytest.approx(2.0 * took, abs=0.4)
 
 
-async def test_stops_where_the_turtle_stands_let_others_run():
-    endless = patrol((MIDDLE, MIDDLE), loops=2**31 - 1)
-    async with arena() as stage, client_of(stage).send_goal(endless) as goal:
-        async for feedback in goal:
-            if feedback.reached == 3:
-                await goal.cancel()
-        outcome = await goal.outcome()
-    assert outcome.status is GoalStatus.CANCELED
-    assert outcome.result.reached >= 3
-
-
-NEAR = [(MIDDLE, MIDDLE), (MIDDLE + 0.05, MIDDLE), (MIDDLE, MIDDLE + 0.05)]
-ROUNDS_IN_PLACE = {
-    "where it stands": NEAR[:1],
-    "elsewhere": [(7.0, MIDDLE)],
-    "of targets near each other": NEAR,
-}
-
-
 # What others do to the turtle
 
 

@@ -9,13 +9,10 @@ import signal
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-import anyio
 import pytest
 
 from turtleact import open_node
 from turtleact.commands import send_goal
-from turtleact.commands.goal_printer import GoalPrinter
-from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.simulation_interfaces.msg import SimulationState
 from turtleact.interfaces.standard.simulation_interfaces.srv import (
     GetSimulationState,
@@ -274,46 +271,6 @@ def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
         *refusal,
         "turtleact: the goal ended together with the embedded world",
     ]
-
-
-@pytest.mark.parametrize(("arguments", "status"), [(["-t", "0.01"], 124), ([], 130)])
-def test_without_an_answer_nobody_says_what_became_of_a_canceled_goal(
-    on_graph, monkeypatch, arguments, status
-):
-    gates, left = list[anyio.Event](), list[int]()
-
-    @asynccontextmanager
-    async def deaf(transport):
-        gates.append(anyio.Event())
-
-        async def ponder(handle):
-            await anyio.sleep_forever()
-
-        async def hold(goal):
-            await gates[0].wait()
-            return Fibonacci.Result()
-
-        async with open_node("stage", transport=transport) as node:
-            node.action_server(Fibonacci, "/deaf", hold, cancel_callback=ponder)
-            yield
-
-    def leave(status):
-        left.append(status)
-        gates[0].set()  # the program does not end here, so the goal must
-
-    monkeypatch.setattr(send_goal, "leave", leave)
-    monkeypatch.setattr(send_goal, "PATIENCE", 0.05)
-    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
-    if not arguments:
-        interrupt = signal.raise_signal
-        monkeypatch.setattr(GoalPrinter, "accepted", lambda *_: interrupt(signal.SIGINT))
-    ran = on_graph(deaf, "send-goal", "deaf", "--plain", *arguments)
-    assert left == [status]
-    assert re.fullmatch(
-        "turtleact: the server has not answered, so it is not known whether the goal was canceled; "
-        "once the server answers again, 'turtleact watch [0-9a-f]{32}' shows the goal",
-        next(line for line in ran.err.splitlines() if "watch" in line),
-    )
 
 
 def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monkeypatch):

@@ -342,28 +342,6 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
     }
 
 
-MANY = """
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-
-
-async def nothing(goal):
-    return Fibonacci.Result()
-
-
-for number in range(10, 24):
-    globals()[f"a{number}"] = turtleact.action(Fibonacci, f"a{number}")(nothing)
-"""
-
-
-def test_a_server_tells_of_a_few_of_many_actions(tmp_path):
-    (tmp_path / "servedmany.py").write_text(MANY)
-    with serving(tmp_path, "servedmany", "--no-sim") as server:
-        assert server.ready.partition(": ")[2] == (
-            "/a10, /a11, /a12, /a13, /a14, /a15, /a16, /a17, /a18, /a19, /a20, and 3 more\n"
-        )
-
-
 def test_a_server_whose_output_cannot_be_written_says_so_and_goes_on(lab):
     command = [sys.executable, "-m", "turtleact", "serve", "servedlab", "--no-sim", "--listen"]
     with Path("/dev/full").open("w") as full:

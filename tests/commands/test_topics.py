@@ -14,9 +14,8 @@ from typing import Any
 import anyio
 import pytest
 
-from turtleact import Message, QoS, open_node
-from turtleact.commands.message_text import python_text
-from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
+from turtleact import QoS, open_node
+from turtleact.interfaces import get_interface, load_interface
 from turtleact.interfaces.standard import (
     UUID,
     GoalInfo,
@@ -97,20 +96,6 @@ def test_the_status_of_goals_is_echoed_as_by_ros2(on_graph, graphs):
         publishing("/fibonacci/_action/status", *messages), graphs.interrupted(1)
     )
     assert on_graph(nodes, *arguments_of("echo_status")).out == recording
-
-
-def test_the_feedback_of_goals_is_echoed_as_by_ros2(on_graph, graphs):
-    recording = GOLDEN["echo_feedback"]["stdout"]
-    feedback = interface("example_interfaces/action/Fibonacci_FeedbackMessage")
-    parts = interface("example_interfaces/action/Fibonacci").Feedback
-    messages = [
-        feedback(UUID(ids_of(recording)), parts(sequence=sequence))
-        for sequence in ([0, 1, 1], [0, 1, 1, 2])
-    ]
-    nodes = graphs.in_turn(
-        publishing("/fibonacci/_action/feedback", *messages), graphs.interrupted(1)
-    )
-    assert on_graph(nodes, *arguments_of("echo_feedback")).out == recording
 
 
 TWIST = Twist(
@@ -332,14 +317,6 @@ def test_the_bandwidth_is_printed_each_second(on_graph, graphs):
     )
 
 
-def test_sizes_are_told_in_one_unit(on_graph, graphs):
-    for length, out in ((11, "80 B/s"), (999_991, "4.00 MB/s")):
-        messages = [text("x" * length)] * 2
-        nodes = publishing("/it", *messages, latched=False, period=0.25, wait=0.5)
-        ran = on_graph(graphs.in_turn(nodes, graphs.interrupted(1.6)), "topic", "bw", "/it")
-        assert f"\n{out} from 2 messages\n" in ran.out
-
-
 def test_the_delay_is_told_of_the_stamps(on_graph, graphs):
     messages = [stamped(1_700_000_001) for _ in range(3)]
     nodes = publishing("/it", *messages, latched=False, period=1.0, wait=1.5)
@@ -488,44 +465,4 @@ def test_a_service_that_is_not_there_is_waited_for(on_graph, graphs):
     assert ran.out.startswith("waiting for service to become available...\nrequester: making")
 
 
-def test_a_wait_for_a_typing_error_is_told(on_graph, graphs):
-    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(3))
-    ran = on_graph(nodes, "service", "call", "/claer", "std_srvs/srv/Empty")
-    assert (ran.status, ran.err) == (
-        130,
-        "turtleact: nobody has '/claer' yet, did you mean '/clear'?\n",
-    )
-
-
 # --- as rclpy prints messages ---------------------------------------------------------------
-
-
-class Mixed(Message, type_name="printed_interfaces/msg/Mixed"):
-    numbers: list[int32] = []
-    words: list[string] = []
-    pair: array[list[float64], 2] = [0.0, 1.5]
-    small: array[list[int32], 2] = [1, 2]
-    two_words: array[list[string], 2] = ["a", "b"]
-    from_: string = ""
-
-
-@pytest.mark.parametrize(
-    ("message", "printed"),
-    [
-        (
-            Mixed([1], ["it's"]),
-            'printed_interfaces.msg.Mixed(numbers=[1], words=["it\'s"], pair=array([0.0, 1.5]), '
-            "small=array([1, 2], dtype=int32), two_words=['a', 'b'], from='')",
-        ),
-        (
-            load_interface("byte[1] raw", type_name="printed_interfaces/msg/Raw")(),
-            "printed_interfaces.msg.Raw(raw=array([0], dtype=uint8))",
-        ),
-        (
-            GoalStatusArray([]),
-            "action_msgs.msg.GoalStatusArray(status_list=[])",
-        ),
-    ],
-)
-def test_a_message_is_printed_as_rclpy_does(message, printed):
-    assert python_text(message) == printed

@@ -13,7 +13,6 @@ from mcp import MCPError
 from mcp.types import ElicitResult, ToolListChangedNotification
 
 from turtleact import QoS, open_world
-from turtleact.interfaces import SECOND
 from turtleact.interfaces.standard import Fibonacci, Point
 from turtleact.interfaces.standard.example_interfaces.srv import AddTwoInts
 from turtleact.mcp import Limits, open_mcp
@@ -358,33 +357,6 @@ async def test_a_client_that_knows_only_the_schemas_drives_a_square_and_sees_it(
         world = node.snapshot()
     assert picture.mime_type == "image/png"
     assert base64.b64decode(picture.data) == to_png(world)
-
-
-async def test_a_turtle_stands_still_within_half_a_second_of_a_cancel():
-    async with (
-        open_world(speed="max") as node,
-        open_mcp(node, actions=["/patrol"], topics=["/turtle1/pose"]) as server,
-        client_of(server) as client,
-    ):
-        moving = anyio.Event()
-
-        async def hear(progress, total, message):
-            moving.set()
-
-        arguments = {"targets": SQUARE}
-        async with anyio.create_task_group() as calling:
-            call = functools.partial(client.call_tool, "patrol", arguments, progress_callback=hear)
-            calling.start_soon(call)
-            await moving.wait()
-            calling.cancel_scope.cancel()
-        due = node.clock.now() + SECOND // 2
-        speed = 1.0
-        while speed:
-            pose = await client.call_tool("read_topic", {"topic": "/turtle1/pose"})
-            speed = pose.structured_content["linear_velocity"]
-            assert node.clock.now() < due
-        [goal] = (await client.call_tool("list_goals", {})).structured_content["goals"]
-        assert goal["status"] == "CANCELED"
 
 
 def sender(node):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-from contextlib import asynccontextmanager
 from typing import Any, Literal
 
 import anyio
@@ -20,13 +18,10 @@ from mcp.types import (
 )
 from mcp.types import Request as McpRequest
 
-from turtleact import open_node
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.mcp import Limits, open_mcp
 from turtleact.mcp.tasks import EXTENSION
-from turtleact.transports import open_zenoh
 
-from ..journal.test_reattaching import Server as KillableServer
 from .line import FOREVER, client_of, connect, open_lab
 
 NOBODY = "ab" * 16
@@ -165,66 +160,6 @@ async def test_tasks_survive_a_restart_of_this_server():
             await ask(client, "tasks/update", begun.task_id)
             await ask(client, "tasks/cancel", begun.task_id)
             assert (await ended(client, begun.task_id)).status == "cancelled"
-
-
-async def test_a_task_survives_restarts_of_its_journaled_server_and_of_this_one(tmp_path):
-    takes = TakesTasks()
-    options: Any = {"extensions": [takes]}
-    async with killable_server(tmp_path) as (program, node):
-        async with (
-            open_mcp(node, actions=["/count"]) as server,
-            client_of(server, **options) as client,
-        ):
-            await client.call_tool("count", {"upto": 120})
-            task_id = takes.tasks[-1].task_id
-            await goes_on(client, task_id)
-            await restart(program)
-            await goes_on(client, task_id)
-        async with (
-            open_mcp(node, actions=["/count"]) as second,
-            client_of(second, **options) as client,
-        ):
-            await goes_on(client, task_id)  # the id of a task is the id of its goal
-            await restart(program)
-            task = await ended(client, task_id)
-    assert task.status == "completed"
-    assert task.result["structuredContent"]["result"] == {"counted": list(range(120))}
-
-
-@asynccontextmanager
-async def killable_server(tmp_path):
-    """A program that serves /count with a journal, and a node that sees it."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    program = KillableServer(address, tmp_path / "goals.db")
-    await program.start()
-    quick = {"connect/retry": {"period_init_ms": 50, "period_max_ms": 50}}
-    try:
-        async with (
-            open_zenoh([address], listen=[], config=quick) as transport,
-            open_node("near", transport=transport) as node,
-        ):
-            await transport.explore()
-            yield program, node
-    finally:
-        program.kill()
-
-
-async def restart(program):
-    """Kill the program, and start it again."""
-    program.kill()
-    await program.start()
-
-
-async def goes_on(client: Any, task_id: str) -> None:
-    """Poll a task until its feedback has changed a few times."""
-    told: set[str] = set()
-    while len(told) < 4:
-        task = await ask(client, "tasks/get", task_id)
-        assert task.status == "working"
-        told.add(task.status_message)
-        await anyio.sleep(0.002)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, cast
 
-import anyio
 import pytest
 
 import turtleact
@@ -91,12 +90,6 @@ async def apart(address: str) -> AsyncIterator[tuple[Node, Node]]:
         yield far, near
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    """Wait until other threads have made something true."""
-    while not condition():
-        await anyio.sleep(0.001)
-
-
 # --- actions
 
 
@@ -166,20 +159,6 @@ async def test_what_is_opened_on_a_node_does_as_the_node_unless_it_says_otherwis
         assert shown == {event_topic(f"/count/_action/{name}") for name in SERVICES}
 
 
-async def test_closing_the_ends_takes_their_topics_along():
-    async with turtleact.open_node("lab") as node:
-        node.introspection = "metadata"
-        opened = [
-            node.action_server(Count, "count", count),
-            node.action_client(Count, "count"),
-            node.service(SetBool, "flip", flip),
-            node.service_client(SetBool, "flip"),
-        ]
-        for each in opened:
-            await cast("Any", each).aclose()
-        assert not node.transport.endpoints()
-
-
 @asynccontextmanager
 async def lab_shown(
     mode: Any, *, client: Any = None, execute: Any = count, **options: Any
@@ -222,19 +201,6 @@ async def test_a_failure_is_no_response():
         assert [kind_of(each) for each in reader.drain()] == ["REQUEST_RECEIVED"]
 
 
-async def test_an_event_keeps_what_the_request_was():
-    async def spoil(request: SetBool.Request) -> SetBool.Response:
-        request.data = True
-        return SetBool.Response()
-
-    async with turtleact.open_node("lab") as node:
-        node.service(SetBool, "flip", spoil, introspection="contents")
-        reader = node.subscription(event_message(SetBool), event_topic("/flip"))
-        await node.service_client(SetBool, "flip").call(SetBool.Request())
-        first: Any = reader.drain()[0]
-        assert first.request == [SetBool.Request(data=False)]
-
-
 @pytest.mark.parametrize(
     "open_it",
     [
@@ -272,15 +238,6 @@ async def test_the_events_of_a_goal_in_another_process_name_its_wire_calls(addre
             assert {gid for gid, _ in calls} == {caller.gid}
         requests = [each.request[0] for each in log.events("send_goal") if each.request]
         assert {each.goal.upto for each in requests} == {1}
-
-
-async def test_a_topic_of_events_can_be_seen_before_anybody_reads_it(address):
-    async with apart(address) as (far, near):
-        far.service(SetBool, "flip", flip, introspection="metadata")
-        await until(lambda: near.count_publishers(event_topic("/flip")) == 1)
-        (seen,) = near.transport.endpoints(event_topic("/flip"))
-        assert seen.type_name == "std_srvs/srv/SetBool_Event"
-        assert (seen.qos.reliability, seen.qos.durability) == ("reliable", "volatile")
 
 
 def complete(events: list[Any]) -> set[tuple[bytes, int]]:

@@ -25,7 +25,6 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Message, Service, int32
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from ..lab import (
@@ -213,12 +212,6 @@ async def test_nodes_that_share_no_transport_do_not_see_each_other():
             await user.action_client(Count, "count").send_goal(goal())
 
 
-async def test_a_node_keeps_the_time_of_its_transport():
-    clock = VirtualClock()
-    async with turtleact.open_node("lab", transport=MemoryTransport(clock)) as node:
-        assert node.clock is clock
-
-
 async def seven(request: Count.Goal) -> Count.Result:
     return result(7)
 
@@ -346,14 +339,6 @@ async def test_a_node_closes_while_its_built_in_action_is_away():
     assert transport.endpoints() == ()
 
 
-async def test_a_built_in_stays_away_from_a_name_that_is_served():
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", seven)
-        user.action_server(Count, "count", count, on_conflict="withdraw")
-        await settle()
-        assert await user.action_client(Count, "count").send_goal(goal()) == result(7)
-
-
 async def test_there_is_no_other_answer_to_a_conflict():
     async with two_nodes() as (lab, _):
         with pytest.raises(InvalidOption, match="'on_conflict': expected one of refuse, wait"):
@@ -369,24 +354,6 @@ async def test_a_node_on_which_nothing_is_opened_is_in_the_graph():
         assert lab.graph().nodes == ("/lab", "/user")
         await lab.aclose()
         assert user.graph().nodes == ("/user",)
-
-
-ON_DEMAND: dict[str, Callable[[turtleact.Node, bool], Any]] = {
-    "action_server": lambda node, say: node.action_server(Count, "it", count, on_demand=say),
-    "publisher": lambda node, say: node.publisher(Word, "it", on_demand=say),
-    "subscription": lambda node, say: node.subscription(Word, "it", on_demand=say),
-    "service": lambda node, say: node.service(Double, "it", double, on_demand=say),
-}
-
-
-@pytest.mark.parametrize("is_asked_for", [True, False])
-@pytest.mark.parametrize("open_it", ON_DEMAND.values(), ids=ON_DEMAND)
-async def test_all_endpoints_of_what_is_opened_on_demand_are_so(open_it, is_asked_for):
-    async with turtleact.open_node("lab") as node:
-        open_it(node, is_asked_for)
-        pausing = ("/set_paused", "/paused", "/pause", "/resume")  # always on demand
-        opened = [each for each in node.transport.endpoints() if not each.name.endswith(pausing)]
-        assert {each.on_demand for each in opened} == {is_asked_for}
 
 
 @EACH_OPENING

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import logging
 import math
@@ -12,7 +11,6 @@ from typing import Any, NamedTuple
 
 import anyio
 import anyio.lowlevel
-import msgspec
 import pytest
 
 import turtleact
@@ -24,14 +22,13 @@ from turtleact.errors import (
     ServiceTimeout,
 )
 from turtleact.goals import service_server
-from turtleact.interfaces import Message, Service, WireFormat, int32
+from turtleact.interfaces import Message, Service, int32
 from turtleact.node.services import ServiceClient, ServiceServer
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
-from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 
-from ..lab import other_tasks, running, settle
+from ..lab import running, settle
 
 
 class Add(Service, type_name="lab_interfaces/srv/Add"):
@@ -230,12 +227,6 @@ async def test_a_caller_may_change_the_response_without_harm():
         assert kept == total(1)
 
 
-async def test_a_request_of_another_type_raises_at_the_caller():
-    async with desk() as served:
-        with pytest.raises(InvalidMessage, match=r"^request: .*lab_interfaces/srv/Add_Request"):
-            await served.client.call(total(1))  # type: ignore[arg-type]  # that is the test
-
-
 async def test_a_request_that_does_not_fit_reaches_no_handler(gate):
     async with desk(gate.wait) as served:
         with pytest.raises(InvalidMessage, match=r"^request\.numbers\[1\]: .*'two'"):
@@ -341,15 +332,6 @@ async def test_a_call_of_what_nobody_serves_fails():
             await node.service_client(Add, "add").call(numbers())
 
 
-async def test_once_a_server_is_closed_the_next_one_is_called():
-    async with desk(fail) as served:
-        with pytest.raises(ServiceError):
-            await served.client.call(numbers(1))
-        served.node.service(Add, "add", add)
-        await served.server.aclose()
-        assert await served.client.call(numbers(1)) == total(1)
-
-
 # --- waiting for a service ------------------------------------------------------------------
 
 
@@ -368,14 +350,6 @@ async def test_a_wait_for_a_service_ends_after_its_timeout():
         await served.server.aclose()
         assert not await served.client.wait_for_service(timeout=60)
         assert clock.time() == 60
-
-
-async def tasks_of_asyncio() -> set[asyncio.Task[Any]]:
-    """What runs besides the test; nothing on trio, which would not end with it."""
-    await settle()
-    if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
-        return set()
-    return other_tasks()
 
 
 # --- misuse ---------------------------------------------------------------------------------
@@ -488,38 +462,6 @@ async def test_a_client_elsewhere_that_has_gone_cancels_the_handlers_of_its_requ
         assert (other.value.message, near.value) == (total(2), total(3))
 
 
-async def test_a_cancellation_goes_on_once_the_handler_has_ended(gate):
-    async with (
-        desk(gate.hold_on) as served,
-        running(lambda: served.client.call(numbers())) as called,
-    ):
-        called.scope.cancel()
-        await settle()
-        assert not called.done.is_set()
-        gate.opened.set()
-        await called.done.wait()
-        assert called.scope.cancelled_caught
-
-
-@pytest.mark.parametrize("turns", range(12))
-@pytest.mark.parametrize("timeout", [None, 1e6])
-async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout):
-    async def handler(request: Add.Request) -> Add.Response:
-        with anyio.move_on_after(1e6):
-            await add_later(request)
-            await add_later(request)
-        return add(request)
-
-    before = await tasks_of_asyncio()
-    async with desk(handler) as served, anyio.create_task_group() as group:
-        group.start_soon(functools.partial(served.client.call, numbers(), timeout=timeout))
-        for _ in range(turns):
-            await anyio.lowlevel.checkpoint()
-        group.cancel_scope.cancel()
-    assert served.is_idle
-    assert await tasks_of_asyncio() == before
-
-
 # --- closing --------------------------------------------------------------------------------
 
 
@@ -554,39 +496,3 @@ async def test_calls_go_on_when_their_client_is_closed(gate):
 
 
 # --- servers that are not in this process ----------------------------------------------------
-
-
-class Afar(ServiceHandler):
-    """What a server elsewhere looks like from here: it can be called, and not be taken hold of."""
-
-    async def reply(self, request: Any, caller: bytes) -> Reply:
-        return Reply(add(request))
-
-
-@asynccontextmanager
-async def far_desk() -> AsyncIterator[tuple[MemoryTransport, Any]]:
-    transport = MemoryTransport()
-    async with turtleact.open_node("desk", transport=transport) as node:
-        yield transport, node.service_client(Add, "add")
-
-
-ENDPOINT = Endpoint("service", "/add", Add.type_name, "/afar")
-
-
-async def test_a_server_that_is_elsewhere_is_called():
-    async with far_desk() as (transport, client):
-        transport.serve(ENDPOINT, WireFormat(Add), Afar())
-        assert await client.call(numbers(2, 3)) == total(5)
-        assert await client.call(numbers(2, 3), timeout=100) == total(5)
-
-
-async def test_a_server_answers_those_who_are_elsewhere():
-    async with desk() as served:
-        transport = served.node.transport
-        caller = transport.join(
-            msgspec.structs.replace(ENDPOINT, kind="client"), WireFormat(Add, asks=True)
-        )
-        assert await caller.call(numbers(2, 3)) == Reply(total(5))
-        await served.server.aclose()
-        with pytest.raises(ServerUnavailable):
-            await caller.call(numbers(2, 3))

@@ -32,7 +32,7 @@ from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import Time
 from turtleact.recording import Bag, BagError, read
 from turtleact.recording.bag_writer import BagWriter, Split
-from turtleact.recording.metadata import BagInfo, read_offers
+from turtleact.recording.metadata import BagInfo
 from turtleact.recording.storage import Range
 from turtleact.transports.base import QoS
 
@@ -423,28 +423,6 @@ def test_a_full_disk_loses_only_what_was_written_last(tmp_path, disk, room):
     assert (writer.waiting, info_of(path).is_closed) == (10, False)
 
 
-def test_a_full_disk_leaves_a_folder_that_can_be_read(tmp_path, disk):
-    disk(100_000)
-    path = tmp_path / "run"
-    writer = opened(path)
-    given = fill_up(writer)
-    writer.close({})
-    assert [each.name for each in path.iterdir()] == ["run_0.mcap"]
-    assert len(stamps(path)) == info_of(path).count == given - 10
-    assert not info_of(path).is_closed
-
-
-def test_a_disk_that_is_full_when_a_file_ends_loses_no_other_message(tmp_path, monkeypatch):
-    writer = opened(tmp_path / "run", Split(max_duration=10 * STEP))
-    fill(writer, 10)
-    monkeypatch.setattr(Path, "open", lambda *_, **__: os.write(-1, b""))
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        fill(writer, 1, 10)
-    monkeypatch.undo()
-    writer.close({})
-    assert len(stamps(tmp_path / "run")) == info_of(tmp_path / "run").count == 10
-
-
 def test_without_room_for_its_head_no_file_is_left(tmp_path, disk):
     disk(0)
     with pytest.raises(BagError, match="it cannot be created: No space left"):
@@ -455,13 +433,6 @@ def test_without_room_for_its_head_no_file_is_left(tmp_path, disk):
 
 
 # --- descriptions --------------------------------------------------------------------------------
-
-
-def test_offers_that_cannot_be_read_are_left_out():
-    assert read_offers("[") == read_offers("") == read_offers("3") == read_offers("[1]") == ()
-    [offer] = read_offers([{"depth": 0, "deadline": {"sec": 2147483647, "nsec": 4294967295}}])
-    assert offer.qos == QoS()
-    assert offer.times.deadline is None
 
 
 def test_a_folder_can_be_moved_and_renamed(tmp_path):
@@ -542,19 +513,6 @@ def test_a_description_that_cannot_be_written_leaves_the_files(tmp_path, monkeyp
         writer.close({})
     assert [each.name for each in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
     assert len(stamps(tmp_path / "run")) == 10
-
-
-def test_an_error_at_the_end_is_raised_and_what_was_written_stays(tmp_path, disk, monkeypatch):
-    disk(1_000_000)
-    writer = opened(tmp_path / "run")
-    fill(writer, 10)
-    writer.flush()
-    fill(writer, 5, 10)
-    monkeypatch.setattr(Disk, "write", lambda *_: os.write(-1, b""))
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        writer.close({})
-    assert writer.waiting == 5
-    assert len(stamps(tmp_path / "run")) == info_of(tmp_path / "run").count == 10
 
 
 def test_a_bag_of_many_files_is_read_in_the_order_of_their_numbers(tmp_path):

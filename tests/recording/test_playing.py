@@ -1,7 +1,5 @@
 """Playing: the same messages at the same distances, and the same goals with new ids."""
 
-import gc
-from contextlib import aclosing
 from functools import partial
 from random import Random
 from typing import Any
@@ -12,7 +10,7 @@ import pytest
 
 import turtleact
 from turtleact import InvalidOption, QoS, TurtleactError, open_node, open_world, recording
-from turtleact.interfaces import encode, int32, nanoseconds, stamp_of
+from turtleact.interfaces import encode, int32, nanoseconds
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import Twist, Vector3
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
@@ -132,11 +130,6 @@ async def test_a_loop_over_nothing_ends(node, tmp_path):
     assert (await recording.play(node, path, topics=[], loop=True)).messages == 0
 
 
-async def test_with_max_a_clock_that_stands_still_does_not_matter(node, tmp_path):
-    node.clock.stop_at(0)
-    assert len(await heard(node, write(tmp_path / "run", 0, 100), rate="max")) == 2
-
-
 async def test_what_was_latched_is_latched_again(node, tmp_path, monkeypatch):
     node.publisher(String, "/said", STATUS_QOS).publish(String(data="1"))
     async with recording.record(node, tmp_path / "run", topics=["/said"]):
@@ -247,41 +240,6 @@ async def test_goals_are_sent_again_with_new_ids(node, tmp_path):
     assert not {each.id for each in first} & {each.id for each in second[-3:]}
 
 
-async def test_a_cancel_that_comes_before_the_acceptance_is_not_lost(node, tmp_path):
-    await record_goals(node, tmp_path / "first")
-    asked = list[Any]()
-
-    async def ponder(goal):
-        asked.append(goal)
-        await node.clock.sleep(5)  # the recorded cancel came after 1.5 s
-        return turtleact.GoalResponse.ACCEPT
-
-    node.action_server(Fibonacci, "other", count, goal_callback=ponder)
-    played = await recording.play(
-        node, tmp_path / "first", send_goals=True, remap={"/fibonacci": "/other"}
-    )
-    assert len(asked) == 3
-    assert played.goals["/other", "CANCELED"] == 1
-
-
-async def test_a_cancel_of_all_goals_up_to_a_time_spares_later_goals(node, tmp_path):
-    node.action_server(Fibonacci, "fibonacci", count, introspection="contents")
-    client = node.action_client(Fibonacci, "fibonacci", introspection="contents")
-    async with (
-        recording.record(node, tmp_path / "first", actions=["fibonacci"]),
-        client.send_goal(Fibonacci.Goal(order=9)) as early,
-    ):
-        await node.clock.sleep(1)
-        between = stamp_of(node.clock.now())
-        await node.clock.sleep(1)
-        async with client.send_goal(Fibonacci.Goal(order=2)) as late:
-            await client.cancel_before(between)
-            await early.outcome()
-            await late.outcome()
-    played = await recording.play(node, tmp_path / "first", send_goals=True)
-    assert played.goals == {("/fibonacci", "CANCELED"): 1, ("/fibonacci", "SUCCEEDED"): 1}
-
-
 async def test_without_a_server_the_reason_is_counted(node, tmp_path):
     await record_goals(node, tmp_path / "first")
     async with open_node("other") as other:
@@ -323,38 +281,6 @@ async def test_goals_from_before_the_recording_are_not_missed(node, tmp_path):
     assert played.failed == 0
 
 
-async def test_a_loop_over_goals_starts_over(node, tmp_path):
-    await record_goals(node, tmp_path / "first")
-    accepted = []
-    with anyio.CancelScope() as scope:
-
-        def take(goal):
-            accepted.append(goal)
-            if len(accepted) == 5:  # the bag has three
-                scope.cancel()
-            return True
-
-        node.action_server(Fibonacci, "other", count, goal_callback=take)
-        await recording.play(
-            node,
-            tmp_path / "first",
-            send_goals=True,
-            rate="max",
-            loop=True,
-            remap={"/fibonacci": "/other"},
-        )
-    assert len(accepted) >= 5
-
-
-@pytest.mark.parametrize("anyio_backend", ["trio"])
-async def test_a_reader_that_leaves_early_leaves_nothing_to_the_garbage_collector(tmp_path):
-    path = write(tmp_path / "run", *range(10))
-    async with aclosing(recording.read(path)) as messages:
-        assert (await anext(messages)).topic == "/said"
-    gc.collect()
-    await anyio.lowlevel.checkpoint()
-
-
 @pytest.mark.parametrize("option", ["start_offset", "duration"])
 @pytest.mark.parametrize("seconds", [1e300, -1.0, float("nan")])
 async def test_times_that_make_no_sense_are_refused(node, tmp_path, option, seconds):
@@ -369,27 +295,6 @@ async def test_a_file_of_no_sensible_duration_is_not_begun(node, tmp_path):
         async with recording.record(node, tmp_path / "run", max_duration=1e300):
             pytest.fail("it began")
     assert not (tmp_path / "run").exists()
-
-
-async def test_a_closed_node_neither_plays_nor_records(tmp_path):
-    path = write(tmp_path / "run", 0.0)
-    async with open_node("lab") as node:
-        pass
-    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
-        await recording.play(node, path)
-    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
-        async with recording.record(node, tmp_path / "new"):
-            pytest.fail("it began")
-    assert not (tmp_path / "new").exists()
-
-
-async def test_damage_is_raised_as_it_is(node, tmp_path):
-    path = write(tmp_path / "run.mcap", *range(100))
-    content = bytearray(path.read_bytes())
-    content[content.index(b"50\0")] ^= 0xFF
-    path.write_bytes(content)
-    with pytest.raises(BagError, match="is damaged"):
-        await recording.play(node, path, rate="max")
 
 
 # --- converting ----------------------------------------------------------------------------------
@@ -413,13 +318,6 @@ def test_bags_are_merged_and_cut(tmp_path):
     assert next(stamp for _, stamp, _ in found) == START + 5 * STEP
     assert {topic for topic, _, _ in found} == {"/said", "/turtle1/pose"}
     assert type(POSE()) is POSE
-
-
-def test_a_conversion_can_be_ended(tmp_path):
-    first = write_bag(tmp_path / "first", 100)
-    assert convert([first], [Output(path=tmp_path / "part")], lambda: False) == [0]
-    with pytest.raises(TurtleactError, match="it exists already"):
-        convert([first], [Output(path=tmp_path / "part")])
 
 
 def test_a_missing_bag_is_said_and_nothing_stays_open(tmp_path):

@@ -5,23 +5,14 @@ from __future__ import annotations
 import logging
 import math
 import re
-from typing import cast
 
-import numpy as np
 import pytest
 
 from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute
-from turtleact.node import open_node
-from turtleact.sim.drawing import Pens
-from turtleact.sim.turtle import Habitat, Turtle
-from turtleact.sim.turtlesim import Turtlesim
-from turtleact.sim.world import World
-from turtleact.transports import MemoryTransport
 
-from ..lab import settle
-from .stage import GOLDEN, POSES, TICK, Stage, stage
+from .stage import GOLDEN, POSES, TICK, stage
 
 Goal = RotateAbsolute.Goal
 WHITE = (255, 255, 255)
@@ -169,24 +160,6 @@ async def test_a_rotation_that_succeeds_says_what_the_real_one_says(caplog):
     assert caplog.records[-1].getMessage() == "Rotation goal completed successfully"
 
 
-async def test_a_canceled_rotation_ends_as_that_of_the_real_one(caplog):
-    caplog.set_level(logging.INFO)
-    async with stage() as here:
-        await here.teleport(5.0, 5.0, -0.01600000075995922)
-        await here.pass_ticks(1)
-        async with here.rotations().send_goal(Goal(3.0)) as goal:
-            await here.pass_ticks(32)
-            await goal.cancel()
-            outcome = await goal.outcome()
-        await here.pass_ticks(1)
-        pose = here.world.pose("turtle1")
-    assert outcome.status is GoalStatus.CANCELED
-    assert outcome.result.delta == pytest.approx(-0.4959999918937683, abs=1e-7)
-    assert pose.theta == pytest.approx(0.4959999918937683, abs=1e-6)
-    assert pose.angular_velocity == 0.0
-    assert caplog.records[-1].getMessage() == "Rotation goal canceled"
-
-
 async def test_a_new_goal_aborts_the_one_that_runs_and_begins_where_that_has_come(caplog):
     async with stage() as here:
         async with here.rotations().send_goal(Goal(-3.0)) as first:
@@ -268,49 +241,3 @@ async def test_a_rotation_to_no_heading_is_rejected(theta):
     async with stage() as here:
         with pytest.raises(GoalRejected, match=f"theta is {theta}: give a finite number"):
             await here.rotations().send_goal(Goal(theta))
-
-
-async def test_a_rotation_that_is_there_succeeds_although_it_is_canceled_then():
-    async with stage() as here, here.rotations().send_goal(Goal(0.0)) as goal:
-        await settle()
-        here.sim.tick()
-        goal.cancel_nowait()
-        outcome = await goal.outcome()
-    assert (outcome.status, outcome.result.delta) == (GoalStatus.SUCCEEDED, 0.0)
-
-
-async def test_closing_the_node_ends_a_rotation():
-    async with stage() as here, here.rotations().send_goal(Goal(3.0)) as goal:
-        await here.pass_ticks(10)
-        await here.home.aclose()
-        outcome = await goal.outcome()
-    assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
-    assert outcome.result.delta == float(np.float32(-9 * 0.016))
-
-
-async def test_a_request_that_is_late_for_its_turtle_does_nothing():
-    world = World()
-    pens = Pens(world)
-    async with open_node("sim", transport=MemoryTransport()) as node:
-        turtle = Turtle("turtle1", Habitat(node, world, pens, print, lambda: None))
-        here = Stage(node, world, cast("Turtlesim", None), node)
-        turtle.leave("it is gone")
-        await here.set_pen(1, 2, 3, 9)
-        await here.teleport(1.0, 1.0, 1.0)
-        await here.teleport_relative(1.0, 1.0)
-        with pytest.raises(GoalAborted, match="it is gone"):
-            await here.rotations().send_goal(Goal(1.0))
-        await turtle.aclose()
-    world.step()
-    pens.follow()
-    assert list(world.pose("turtle1")) == POSES["start"]
-    assert pens.drawing.polylines() == []
-    assert pens.colour("turtle1") == PEN
-
-
-@pytest.mark.parametrize(("theta", "count", "delta"), [(1.57, 98, -1.552), (math.pi, 197, 3.136)])
-async def test_a_rotation_takes_as_many_ticks_as_that_of_the_real_one(theta, count, delta):
-    async with stage() as here:
-        told, outcome = await turn(here, theta)
-    assert len(told) == count
-    assert outcome.result.delta == float(np.float32(delta))  # exactly opposite turns right

@@ -22,7 +22,6 @@ from turtleact.sim.world_services import Poses
 from turtleact.tasks.clock import VirtualClock
 
 from ..actions.arena import tasks_alive
-from ..lab import running
 from .stage import ALL, POSES, TICK, stage
 
 pytestmark = pytest.mark.loops("asyncio", "trio")
@@ -127,25 +126,6 @@ async def test_of_a_fleet_all_but_a_hundred_are_on_demand_to_others():
         assert len(on_demand) == 2 * 11
 
 
-async def test_of_spawned_turtles_all_but_a_hundred_are_on_demand_to_others(monkeypatch):
-    monkeypatch.setattr("turtleact.sim.turtlesim.MOST_SHOWN", 2)
-    async with stage(turtles=5) as here:
-
-        async def spawn() -> bool:
-            """Spawn a turtle; whether it is on demand."""
-            name = await here.spawn(1.0, 1.0, 0.0)
-            endpoints = here.node.transport.endpoints()
-            (on_demand,) = {each.on_demand for each in endpoints if f"/{name}/" in each.name}
-            return on_demand
-
-        assert [await spawn() for _ in range(4)] == [False, False, True, True]
-        for name in ("turtle1", "turtle7", "turtle8"):  # one of each kind
-            await here.kill(name)
-        assert [await spawn() for _ in range(2)] == [False, True]
-        await here.reset()
-        assert [await spawn() for _ in range(3)] == [False, False, True]
-
-
 async def test_a_pose_is_published_after_each_tick():
     async with stage() as here:
         poses = here.poses()
@@ -193,25 +173,7 @@ async def test_at_the_wall_it_warns_in_the_words_of_the_real_one(caplog):
     assert {record.levelno for record in caplog.records} == {logging.WARNING}
 
 
-async def test_a_tick_after_the_node_was_closed_publishes_nothing(caplog):
-    async with stage() as here:
-        poses, colours = here.poses(), here.colours()
-        await here.pass_ticks(2)
-        await here.home.aclose()
-        poses.drain()
-        colours.drain()
-        here.sim.tick()
-        await here.pass_ticks(2)
-        assert poses.drain() == colours.drain() == []
-    assert caplog.records == []
-
-
 # Ticks
-
-
-async def test_the_world_is_a_tick_old_from_the_start():
-    async with stage() as here:
-        assert here.world.tick == 1
 
 
 async def test_the_ticks_do_not_drift():
@@ -343,17 +305,6 @@ async def test_a_turtle_that_is_killed_ends_its_rotation_with_a_reason():
     assert outcome.result.delta == pytest.approx(-9 * TICK)
 
 
-async def test_a_kill_whose_caller_leaves_is_finished():
-    async with stage(turtles=2) as here:
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            await here.kill("turtle2")
-        async with running(lambda: here.kill("turtle2")) as killing:
-            killing.scope.cancel()
-        await here.pass_ticks(1)
-        assert not [name for name in here.node.graph().topics if "turtle2" in name]
-
-
 async def test_a_reset_leaves_turtle1_at_the_start(caplog):
     caplog.set_level(logging.INFO)
     async with stage(turtles=3) as here:
@@ -401,17 +352,6 @@ async def test_requests_that_come_together_leave_each_turtle_with_its_endpoints_
 
 
 # What is drawn
-
-
-async def test_the_first_turtles_are_told_with_their_poses_and_pens():
-    async with stage(turtles=3) as here:
-        here.command(x=2.0)
-        await here.pass_ticks(20)
-        (name, pose, colour), (second, *_) = here.sim.turtles(2)
-        small = here.sim.thumbnail(11, 11)
-    assert (name, second, colour) == ("turtle1", "turtle2", (179, 184, 255))
-    assert pose.x == pytest.approx(5.5444 + 0.64, abs=1e-3)
-    assert [column for column, each in enumerate(small[5]) if each == colour] == [5, 6]
 
 
 async def test_a_snapshot_shows_the_drawing_the_turtles_and_the_background():

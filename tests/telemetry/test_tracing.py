@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import anyio
@@ -21,11 +18,9 @@ from opentelemetry.trace import StatusCode
 
 import turtleact
 from turtleact import Abort, GoalAborted, GoalCanceled, GoalRejected, Reject, ServerUnavailable
-from turtleact.goals.observers import FeedbackLost
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.node import local_server_of
-from turtleact.telemetry import instrument, new_traces, tracing
+from turtleact.telemetry import instrument, new_traces
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import REQUEST_NOTE
 
@@ -270,21 +265,6 @@ async def test_the_span_of_a_client_ends_when_it_leaves_a_detached_goal(collecto
     assert values(collector.the("execute /count").attributes)["ros.goal.status"] == "SUCCEEDED"
 
 
-@WHERE
-async def test_the_spans_of_a_client_end_with_it(collector, where, kind):
-    with exporting_to(collector) as provider:
-        async with (
-            lab(provider, Gate().wait, where) as made,
-            made.client.send_goal(goal()) as handle,
-        ):
-            await settle()
-            await made.client.aclose()
-            provider.force_flush()
-            assert events(collector.the("send_goal /count"))[-1] == "client closed"
-            handle.detach()
-    assert len(collector.spans) == 2
-
-
 async def test_goals_that_a_server_leaves_to_its_next_start_are_ended_as_spans(collector, tmp_path):
     async with turtleact.open_journal(tmp_path / "goals.db") as journal:
         options: Any = {"journal": journal, "on_restart": "resume"}
@@ -299,23 +279,6 @@ async def test_goals_that_a_server_leaves_to_its_next_start_are_ended_as_spans(c
                     await handle.result()
     kinds = [failed(each)[2] for each in collector.spans]
     assert kinds == ["ServerUnavailable", "ServerUnavailable"]
-
-
-async def test_a_request_without_a_note_begins_a_trace_even_under_a_current_span(collector):
-    with (
-        exporting_to(collector) as provider,
-        provider.get_tracer("turtleact").start_as_current_span("the program"),
-    ):
-        transport = MemoryTransport()
-        near: Any = Apart(transport)
-        async with (
-            turtleact.open_node("far", transport=transport) as far,
-            turtleact.open_node("near", transport=near) as node,
-        ):
-            instrument(far, tracer_provider=provider)
-            far.action_server(Count, "count", count)
-            await node.action_client(Count, "count").send_goal(goal(1))
-    assert collector.the("execute /count").parent_span_id == b""
 
 
 PARENT = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01"
@@ -386,18 +349,6 @@ async def test_a_span_processor_that_fails_does_no_harm_to_goals(caplog, where, 
     assert "at the start" in caplog.text
 
 
-async def test_lost_feedback_is_an_event(collector):
-    with exporting_to(collector) as provider:
-        async with (
-            lab(provider, Gate().wait) as made,
-            made.client.send_goal(goal(), goal_id=bytes(range(16))),
-        ):
-            (held,) = local_server_of(made.server).held().values()
-            local_server_of(made.server).observers.noted(held, FeedbackLost(7))
-    (lost,) = [each for each in collector.the("execute /count").events if each.name[-4:] == "lost"]
-    assert (lost.name, values(lost.attributes)) == ("feedback lost", {"ros.feedback.count": 7})
-
-
 async def test_goals_that_run_already_are_left_out(collector):
     gate = Gate()
     with exporting_to(collector) as provider:
@@ -422,23 +373,6 @@ async def test_a_second_call_of_instrument_does_nothing(collector):
             instrument(made.near, tracer_provider=provider)
             await made.client.send_goal(goal(1))
     assert len(collector.spans) == 2
-
-
-async def test_a_goal_that_is_sent_twice_is_joined_and_leaves_no_span_open(collector, tmp_path):
-    gate = Gate()
-    async with turtleact.open_journal(tmp_path / "goals.db") as journal:
-        with exporting_to(collector) as provider:
-            async with (
-                lab(provider, gate.wait, journal=journal) as made,
-                made.client.send_goal(goal(), goal_id=bytes(range(16))) as handle,
-            ):
-                again = made.client.send_goal(goal(), goal_id=bytes(range(16)))
-                async with again as other:
-                    other.detach()
-                    gate.opened.set()
-                    await handle.result()
-    names = Counter(each.name for each in collector.spans)
-    assert names == {"send_goal /count": 2, "execute /count": 1}
 
 
 SERVE = """
@@ -514,11 +448,3 @@ async def test_nested_goals_in_two_processes_are_one_trace_over_zenoh(collector,
         assert [each.parent_span_id for each in chain[1:]] == [each.span_id for each in chain[:-1]]
         assert values(chain[1].attributes)["ros.domain_id"] == 0
     assert {each["service.name"] for each in collector.resources} >= {"the server"}
-
-
-def test_the_page_lists_every_event():
-    page = Path(__file__).parents[2] / "docs" / "telemetry.md"
-    [row] = [line for line in page.read_text().splitlines() if line.startswith("| events |")]
-    listed = set(re.findall("`([^`]+)`", row))
-    named = set(re.findall(r'add_event\("([^"]+)"', inspect.getsource(tracing)))
-    assert named <= listed

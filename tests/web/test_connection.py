@@ -189,13 +189,6 @@ async def test_a_client_publishes():
         assert node.count_publishers("turtle1/cmd_vel") == 0
 
 
-async def test_a_message_needs_no_advertisement_where_the_type_is_known():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        heard = node.subscription(Point, "here")
-        client.say("publish", topic="/here", msg={"x": 1})
-        assert await anext(heard) == Point(x=1.0)
-
-
 async def test_a_latched_message_of_a_client_reaches_late_readers():
     async with bridged() as (node, bridge), line(bridge) as client:
         client.say("advertise", type="geometry_msgs/Point", topic="/here", latch=True)
@@ -232,16 +225,6 @@ async def test_a_client_calls_a_service():
             "result": True,
             "id": "c:1",
         }
-
-
-@pytest.mark.parametrize(
-    "members", [{"args": [1, 2]}, {"args": {"a": 1, "b": 2}, "type": "lab_interfaces/AddInts"}]
-)
-async def test_a_call_is_understood_as_it_is_spelled(members):
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.service(Add, "add", add)
-        answer = await client.call("add", **members)
-        assert (answer["service"], answer["values"]) == ("add", {"sum": 3})
 
 
 @pytest.mark.parametrize(
@@ -384,19 +367,6 @@ async def test_who_calls_a_client_that_goes_is_told(caplog):
         assert isinstance(call.error, ServerUnavailable | ServiceError)
         with pytest.raises(ServerUnavailable):
             await caller.call(Add.Request())
-
-
-async def test_a_service_that_is_advertised_again_is_served_anew():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        for _ in range(2):
-            client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
-        assert await client.hears_nothing()
-        await settle()
-        assert kinds(node, "/add") == ["service"]
-        async with running(lambda: node.service_client(Add, "add").call(Add.Request())) as call:
-            asked = await client.hear()
-            client.say("service_response", id=asked["id"], values={"sum": 3}, result=True)
-        assert call.value == Add.Response(sum=3)
 
 
 # mistakes
@@ -579,27 +549,6 @@ async def test_what_was_closed_or_could_not_be_opened_is_not_counted(cycle):
             client.say("subscribe", topic=f"/t{number}", type="geometry_msgs/Point")
         assert "3 subscriptions and advertisements are open" in (await client.hear())["msg"]
         assert await client.hears_nothing()
-
-
-async def test_a_call_that_is_under_way_when_the_bridge_closes_is_answered_once():
-    asked, gate = anyio.Event(), anyio.Event()
-
-    async def wait(request: Add.Request) -> Add.Response:
-        asked.set()
-        with anyio.CancelScope(shield=True):
-            await gate.wait()
-        return add(request)
-
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.service(Add, "add", wait)
-        client.say("call_service", id="c", service="/add")
-        await asked.wait()
-        async with anyio.create_task_group() as group:
-            group.start_soon(bridge.aclose)
-            answer = await client.hear()
-            gate.set()
-        assert (answer["id"], answer["result"]) == ("c", False)
-        assert answer["values"] == "the server is closing"
 
 
 # readers that do not read

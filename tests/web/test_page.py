@@ -473,26 +473,6 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
 
 
 @in_a_browser
-async def test_comments_say_how_the_page_writes_values(devtools):
-    async with (
-        turtleact.open_node("lab") as node,
-        open_web(node, port=0) as web,
-        connected(devtools, web.url) as page,
-    ):
-        script = """import("/values.js").then(({notationsOf}) => {
-            const field = (name, comment) => ({name, comment, type: "float64"});
-            const {left, at, label} = notationsOf([
-              field("left", "How far it is (m)."),
-              field("at", "The index of the target."),
-              field("label", "What it is called (of it)"),
-            ], ["targets"]);
-            return [left(1.5), left("far"), at(0), at([]), label === undefined];
-        })"""
-        told = await page.run(script)
-        assert told == ["1.50 m", "far", "target 1 (index 0)", "(none)", True]
-
-
-@in_a_browser
 async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
     async with (
         open_world(turtles=2) as node,

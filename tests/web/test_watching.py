@@ -165,16 +165,6 @@ async def test_a_rejected_goal_of_a_web_client_is_kept_with_its_reason():
         gate.opened.set()
 
 
-async def test_nothing_is_watched_before_a_page_asks():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", count)
-        client.say("send_action_goal", action="/count", action_type=TYPE, args={"upto": 1})
-        assert (await client.hear())["result"]
-        assert node.count_publishers("/count/_action/status") == 1
-        topics = [each for each in node.transport.endpoints() if each.kind == "subscription"]
-        assert not [each for each in topics if each.name == "/count/_action/status"]
-
-
 async def test_a_server_that_goes_away_leaves_its_goal_unknown():
     transport = MemoryTransport()
     gate = Gate()
@@ -275,21 +265,6 @@ async def test_a_page_that_has_missed_too_much_gets_everything_and_so_does_a_new
         known = {"session": first["session"], "since": first["revision"]}
         for news in await watch(client, **known), await watch(client):
             assert (news["is_whole"], len(news["goals"])) == (True, MOST_ENDED)
-
-
-async def test_a_goal_that_was_dropped_is_not_taken_up_again():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", count)
-        await watch(client)
-        sender = node.action_client(Count, "count")
-        for _ in range(MOST_ENDED + 5):
-            await sender.send_goal(goal(0))
-        await settle()
-        last = await watch(client)
-        await sender.send_goal(goal(0))
-        await settle()
-        news = await watch(client, session=last["session"], since=last["revision"])
-        assert (len(news["goals"]), len(news["dropped"])) == (1, 1)
 
 
 async def test_a_page_of_a_server_before_this_one_gets_everything():
