@@ -13,15 +13,10 @@ from typing import Any
 import anyio
 import pytest
 
-from turtleact import Action, Message, QoS, open_node
+from turtleact import Action, Message, open_node
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces import float64, get_interface, int32, string
 from turtleact.interfaces.standard import (
-    UUID,
-    CancelGoal,
-    GoalInfo,
-    GoalStatusArray,
-    GoalStatusMessage,
     Point,
     TurtlePose,
 )
@@ -221,15 +216,6 @@ def test_rounds_are_counted_and_reached_in_order(drawn):
     assert "4 of 4" not in text
 
 
-def test_a_trail_has_the_colour_of_its_turtle_and_no_name_covers_it(drawn):
-    route = [at(each, 5.5) for each in (1, 3, 5, 7)]
-    text = drawn(driving(*route), "send-goal", "patrol", goal((9, 9)))
-    [row] = [row for row in map_of(text) if "→" in row]
-    assert re.fullmatch(rf"{BLANK}+[^{BLANK}→]+→{BLANK}turtle1{BLANK}*", row)
-    [colour] = set(re.findall(r"\x1b\[([\d;]+)m[⠁-⣿]+", text))
-    assert f"\x1b[1;{colour}m→" in text
-
-
 def test_a_turtle_of_another_action_is_followed_by_the_name_of_the_action(drawn):
     text = drawn(driving(at(5, 5), name="/turtle1/patrol"), "send-goal", "turtle1/patrol")
     assert any("→" in row for row in map_of(text))
@@ -239,32 +225,3 @@ def test_without_a_turtle_or_in_a_small_window_there_is_no_map(drawn):
     assert "┌" not in drawn(driving(), "send-goal", "patrol", "turtle: arm")
     assert "┌" not in drawn(driving(at(5, 5)), "send-goal", "patrol", columns=38)
     assert "┌" not in drawn(driving(at(5, 5)), "send-goal", "patrol", rows=9)
-
-
-def test_of_a_goal_in_another_process_the_map_shows_the_turtle(drawn):
-    name, goal_id = Patrol.type_name, UUID(bytes(range(16)))
-
-    @asynccontextmanager
-    async def nodes(transport):
-        async def end(_):
-            await anyio.sleep(0.3)
-            told = Patrol.Feedback(index=1, target=Point(x=2.0, y=8.0))
-            feedback.publish(interface(f"{name}_FeedbackMessage")(goal_id, told))
-            await anyio.sleep(0.3)
-            return interface(f"{name}_GetResult").Response(status=4, result=Patrol.Result())
-
-        async with open_node("far", transport=transport) as node:
-            node.publisher(TurtlePose, "/turtle1/pose")
-            node.service(interface(f"{name}_SendGoal"), "/far/_action/send_goal", end)
-            node.service(interface(f"{name}_GetResult"), "/far/_action/get_result", end)
-            node.service(CancelGoal, "/far/_action/cancel_goal", lambda _: CancelGoal.Response())
-            feedback = node.publisher(interface(f"{name}_FeedbackMessage"), "/far/_action/feedback")
-            latched = QoS(depth=1, durability="transient_local")
-            statuses = node.publisher(GoalStatusArray, "/far/_action/status", latched)
-            statuses.publish(GoalStatusArray([GoalStatusMessage(GoalInfo(goal_id), 2)]))
-            yield
-
-    text = ESCAPE.sub("", drawn(nodes, "watch", "far"))
-    assert "┌" in text
-    assert "  sent by another program; the fields of the goal are unknown here" in text
-    assert "  no feedback since" in text

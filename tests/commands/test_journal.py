@@ -178,19 +178,6 @@ def test_a_missing_result_is_one_clear_line(turtleact, file, digits, status, pro
     assert problem in ran.err
 
 
-def test_an_aborted_goal_has_its_status_and_reason(turtleact, path):
-    now = time.time_ns()
-    database = Database(path)
-    aborted = GoalChange(status=GoalStatus.ABORTED, reason="changed", ended=now)
-    # Its type had changed, so that its server could write no result.
-    goal = record(1, now, type_hash="RIHS01_0")
-    database.write([Accept(goal), Change(goal.id, aborted)], is_durable=False)
-    database.close()
-    ran = turtleact("result", goal.id.hex(), "--journal", str(path))
-    assert (ran.status, ran.err) == (4, "turtleact: the goal was aborted: changed\n")
-    assert "Goal finished with status: ABORTED" in ran.out
-
-
 def test_prune_deletes_what_ended_long_ago(turtleact, file):
     ran = turtleact("journal", "prune", str(file), "--keep", "7d")
     assert ran == (0, "deleted 1 goal\n", "")

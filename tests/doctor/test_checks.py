@@ -58,19 +58,6 @@ def only(**seen: Any) -> Fault:
     return fault
 
 
-def test_a_healthy_graph_has_no_faults():
-    assert not faults(
-        nodes=(NodeSeen("/a", "1"), NodeSeen("/b", "2")),
-        endpoints=(
-            server("/a"),
-            server("/a", "get_result"),
-            end("publisher", "/a"),
-            end("subscription", "/b", qos=QoS(reliability="best_effort")),
-        ),
-        answers=(Answer("1", "/a", offset=0.09, uncertainty=0.0),),
-    )
-
-
 def test_a_graph_within_a_process_needs_no_router():
     assert not faults(routers=None)
 
@@ -90,11 +77,6 @@ def test_a_router_of_another_major_version_is_named():
 @pytest.mark.parametrize("version", ["", "1.0.0"])
 def test_a_router_of_the_same_or_an_unknown_version_is_no_fault(version):
     assert not faults(routers=(Router("abc", version),))
-
-
-def test_a_node_without_type_hashes_is_named_as_of_an_old_release():
-    fault = only(endpoints=(end("publisher", "/old", type_hash="TypeHashNotSupported"),))
-    assert (fault.kind, fault.names) == ("version", ("/old",))
 
 
 def test_an_empty_domain_is_a_fault_if_another_one_is_in_use():
@@ -182,34 +164,6 @@ def test_one_node_may_serve_an_action_under_several_types():
     assert not faults(endpoints=(server("/a"), other), known=KNOWN | {"x/action/Y_SendGoal": OURS})
 
 
-def test_different_definitions_are_named_once_for_an_action_with_who_has_which():
-    fault = only(
-        endpoints=(
-            server("/a"),
-            server("/a", "get_result"),
-            end(
-                "client",
-                "/b",
-                name="/count/_action/send_goal",
-                type_name=f"{COUNT}_SendGoal",
-                type_hash=THEIRS,
-            ),
-            end(
-                "client",
-                "/b",
-                name="/count/_action/get_result",
-                type_name=f"{COUNT}_GetResult",
-                type_hash=THEIRS,
-            ),
-        )
-    )
-    assert fault.names == ("/count", COUNT, "/a", "/b")
-    assert fault.problem == (
-        f"the definitions of {COUNT} on /count differ: RIHS01_aaaaaaa… at /a and RIHS01_bbbbbbb… "
-        "at /b"
-    )
-
-
 def test_the_fields_that_differ_are_named():
     fault = only(
         endpoints=(
@@ -228,17 +182,6 @@ def test_the_fields_that_differ_are_named():
         },
     )
     assert fault.problem.endswith("(goal.upto is int32 and int64, goal.by is int8 and missing)")
-
-
-def test_fields_in_another_order_are_told():
-    fault = only(
-        endpoints=(end("publisher", "/a"), end("subscription", "/b", type_hash=THEIRS)),
-        fields={
-            (TWIST, OURS): {"x": "bool", "y": "bool"},
-            (TWIST, THEIRS): {"y": "bool", "x": "bool"},
-        },
-    )
-    assert fault.problem.endswith("(the fields have another order)")
 
 
 def test_a_definition_that_only_this_program_has_counts_too():
@@ -273,28 +216,7 @@ def test_a_subscription_that_asks_for_more_than_is_offered_is_named(offered, ask
     assert words in fault.problem
 
 
-def test_quality_of_service_of_hidden_nodes_is_not_judged():
-    ends = (
-        end("publisher", "/a"),
-        end("subscription", "/_tool", qos=QoS(durability="transient_local")),
-    )
-    assert not faults(endpoints=ends)
-
-
 def test_what_processes_report_is_passed_on():
     fault = only(reports=(Report("disk /data/goals.db", "the disk is nearly full", "free some"),))
     assert str(fault) == "disk: the disk is nearly full; free some"
     assert fault.names == ("/data/goals.db",)
-
-
-def test_the_most_fundamental_faults_come_first():
-    kinds = [
-        each.kind
-        for each in faults(
-            routers=(),
-            nodes=(NodeSeen("/a", "1"), NodeSeen("/a", "2")),
-            answers=(Answer("1", "/a", is_answered=False),),
-            reports=(Report("disk /x", "full"),),
-        )
-    ]
-    assert kinds == ["no-router", "silent-node", "duplicate-node", "disk"]

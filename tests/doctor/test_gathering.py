@@ -211,14 +211,3 @@ async def test_a_node_describes_its_types_once_another_process_asks(address):
         await node.aclose()
         while asker.transport.endpoints(name):
             await asker.transport.wait_for_change()
-
-
-async def test_a_node_that_opens_late_finds_that_it_is_asked_already(address):
-    async with graph_at(address) as graph:
-        asker = await graph.node("asker")
-        client = asker.service_client(GetTypeDescription, "/late/get_type_description")
-        transport = await graph.session()
-        while not transport.endpoints("/late/get_type_description"):
-            await transport.wait_for_change()
-        async with turtleact.open_node("late", transport=transport):
-            assert await client.wait_for_service()

@@ -90,27 +90,6 @@ def test_the_goal_result_and_feedback_inside_are_the_actions_own():
     assert nested_classes(types.feedback_message) == (UUID, Drill.Feedback)
 
 
-def test_an_equal_action_gets_types_of_its_own_classes():
-    def declare() -> type[Action]:
-        class Wait(Action, type_name="example_msgs/action/Wait"):
-            class Feedback(Message):
-                left: int32
-
-        return Wait
-
-    first, second = declare(), declare()
-    assert nested_classes(implied(first).feedback_message)[1] is first.Feedback
-    assert nested_classes(implied(second).feedback_message)[1] is second.Feedback
-
-
-def test_a_new_message_holds_zeros_of_its_own():
-    request: Any = implied(Drill).send_goal.Request
-    first, second = request(), request()
-    assert first == request(goal_id=UUID(bytes(16)), goal=Drill.Goal(at=Point(), depth=1))
-    assert first.goal is not second.goal
-    assert first.goal_id is not second.goal_id
-
-
 # --- once, and late -------------------------------------------------------------------------
 
 
@@ -214,11 +193,6 @@ def test_known_interfaces_leaves_out_implied_types_alone():
     assert not [name for name in known if name.startswith(f"{Fibonacci.type_name}_")]
 
 
-def test_the_base_of_all_actions_implies_nothing():
-    with pytest.raises(InvalidInterface, match="'' is not a full interface name"):
-        implied(Action)
-
-
 def nothing(type_name: str) -> NoReturn:
     raise UnknownInterface(type_name, "example_msgs/msg/Near")
 
@@ -240,11 +214,6 @@ def message(text: str) -> MessageDefinition:
 def test_a_class_says_what_its_definition_says(kind, text):
     said = parse(text, f"example_msgs/{kind}/Sample")
     assert definition(make_interface(said, nothing)) == said
-
-
-def test_a_class_is_named_as_in_rclpy():
-    sample = make_message(message(""), nothing)
-    assert (sample.__module__, sample.__qualname__) == ("example_msgs.msg", "Sample")
 
 
 def test_an_unknown_message_inside_is_told():

@@ -15,7 +15,7 @@ from turtleact.interfaces import Message, int32
 from turtleact.node.topics import Publisher, Subscription
 from turtleact.tasks import current_tasks
 
-from ..lab import running, settle
+from ..lab import running
 
 LATCHED = QoS(depth=2, durability="transient_local")
 
@@ -150,17 +150,6 @@ async def test_draining_takes_what_is_there_and_no_more():
         assert await read(words.receiving, 1) == [3]
 
 
-async def test_a_reader_whose_message_was_drained_goes_on_waiting():
-    async with line() as words, running(lambda: read(words.receiving, 1)) as reading:
-        say(words.sending, 1)
-        words.receiving.drain()
-        await settle()
-        assert not reading.done.is_set()
-        say(words.sending, 2)
-        await reading.done.wait()
-        assert reading.value == [2]
-
-
 # --- latched --------------------------------------------------------------------------------
 
 
@@ -172,21 +161,6 @@ async def test_a_late_subscription_keeps_no_more_latched_messages_than_its_depth
 
 
 # --- several readers ------------------------------------------------------------------------
-
-
-async def test_of_two_readers_each_message_goes_to_one():
-    async with (
-        line() as words,
-        running(lambda: read_to_the_end(words.receiving)) as first,
-        running(lambda: read_to_the_end(words.receiving)) as second,
-    ):
-        for number in range(6):
-            say(words.sending, number)
-            await settle()
-        await words.receiving.aclose()
-        await first.done.wait()
-        await second.done.wait()
-        assert sorted(first.value + second.value) == list(range(6))
 
 
 # --- canceled -------------------------------------------------------------------------------

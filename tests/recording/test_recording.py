@@ -16,7 +16,7 @@ from turtleact.recording.metadata import read_qos_overrides
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, QoS
-from turtleact.transports.base import STATUS_QOS, Endpoint
+from turtleact.transports.base import STATUS_QOS
 
 from .bags import by_rosbags
 
@@ -173,56 +173,6 @@ async def test_a_full_disk_ends_the_recording(node, tmp_path, monkeypatch):
     assert len(await messages(tmp_path / "run")) == 1
 
 
-async def test_a_deleted_folder_is_an_error_at_the_end(node, tmp_path):
-    publisher = node.publisher(String, "said")
-    with pytest.raises(BagError, match="it does not exist"):  # noqa: PT012  # the end of the block raises
-        async with recording.record(node, tmp_path / "run"):
-            publisher.publish(String())
-            (tmp_path / "run").rename(tmp_path / "other")
-    assert len(await messages(tmp_path / "other")) == 1
-
-
-async def test_a_message_that_comes_after_the_end_is_not_a_lost_one(node, tmp_path):
-    delivered = []
-
-    def subscribe(endpoint, format, deliver, *, in_any_thread=False):
-        delivered.append(deliver)
-        return subscribes(endpoint, format, deliver, in_any_thread=in_any_thread)
-
-    subscribes, node.transport.subscribe = node.transport.subscribe, subscribe
-    node.publisher(String, "said").publish(String())
-    async with recording.record(node, tmp_path / "run", topics=["said"]) as run:
-        [deliver] = delivered
-        deliver(String())
-    deliver(String())
-    assert (run.count, run.lost, run.waiting) == (1, 0, 0)
-
-
-async def test_an_unexpected_error_ends_the_recording_and_is_logged(
-    node, tmp_path, monkeypatch, caplog
-):
-    def write(*_):
-        raise ValueError("odd")
-
-    monkeypatch.setattr(BagWriter, "write", write)
-    publisher = node.publisher(String, "said")
-    with pytest.raises(BagError, match="cannot be written any more: odd"):  # noqa: PT012  # so does this
-        async with recording.record(node, tmp_path / "run") as run:
-            publisher.publish(String())
-            await run.wait_ended()
-    assert [each.message for each in caplog.records] == ["a bag cannot be written any more"]
-
-
-async def test_an_error_in_the_block_matters_more_than_the_disk(node, tmp_path, monkeypatch):
-    monkeypatch.setattr(BagWriter, "write", lambda *_: open("/nowhere/at/all"))  # noqa: PTH123, SIM115
-    publisher = node.publisher(String, "said")
-    with pytest.raises(KeyError):  # noqa: PT012  # so does this
-        async with recording.record(node, tmp_path / "run") as run:
-            publisher.publish(String())
-            await run.wait_ended()
-            raise KeyError
-
-
 async def test_a_cancelled_recording_is_closed(node, tmp_path):
     publisher = node.publisher(String, "said")
     with anyio.CancelScope() as scope:
@@ -232,13 +182,6 @@ async def test_a_cancelled_recording_is_closed(node, tmp_path):
             await anyio.sleep_forever()
     assert recording.Bag(tmp_path / "run").info.is_closed
     assert len(await messages(tmp_path / "run")) == 1
-
-
-async def test_two_recordings_never_share_a_folder(node, tmp_path):
-    async with recording.record(node, tmp_path / "run"):
-        with pytest.raises(BagError, match="it exists already"):
-            async with recording.record(node, tmp_path / "run"):
-                pytest.fail("it was opened")
 
 
 async def test_an_option_that_does_not_exist_is_refused(node, tmp_path):
@@ -258,27 +201,6 @@ async def test_offers_and_hashes_are_recorded(node, tmp_path):
     [channel] = bag.channels()
     assert channel.type_hash == WireFormat(TurtlePose).type_hash
     assert [each.qos for each in channel.offers] == [QoS(depth=3, reliability="best_effort")]
-
-
-async def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are_recorded(
-    tmp_path, caplog
-):
-    class Choosy(MemoryTransport):
-        def subscribe(self, endpoint, format, deliver, *, in_any_thread=False, on_gap=None):
-            if endpoint.name == "/odd":
-                raise TurtleactError("no room")
-            return super().subscribe(endpoint, format, deliver, in_any_thread=in_any_thread)
-
-    async with open_node("lab", transport=Choosy()) as node:
-        odd, said = node.publisher(String, "/odd"), node.publisher(String, "/said")
-        async with recording.record(node, tmp_path / "run") as run:
-            odd.publish(String(data="x"))
-            said.publish(String(data="y"))
-            node.publisher(String, "/late")
-            await run.wait_changed()
-        assert run.unrecorded == {"/odd": "no room"}
-        assert run.count == 1
-    assert caplog.text.count("topic /odd cannot be recorded: no room") == 1
 
 
 async def test_the_quality_of_service_to_ask_for_can_be_chosen(node, tmp_path):
@@ -353,19 +275,3 @@ def test_a_selection_is_that_of_ros2_bag(selection, wanted):
 def test_a_selection_refuses_a_bad_expression():
     with pytest.raises(TurtleactError, match="'regex': it is not a regular expression"):
         Selection(regex="(")
-
-
-def test_owners_can_be_left_out_too():
-    one = Selection(all_actions=True, exclude=frozenset({"/a"}), exclude_regex="^/b")
-    assert [each for each in ("/a", "/b", "/c") if one.wants_owner("action", each)] == ["/c"]
-
-
-async def test_a_message_that_cannot_be_encoded_is_counted(node, tmp_path, caplog):
-    topic = node.transport.advertise(
-        Endpoint("publisher", "/said", "std_msgs/msg/String", "/lab"), WireFormat(String)
-    )
-    async with recording.record(node, tmp_path / "run") as run:
-        topic.publish(String(data=3))  # type: ignore[arg-type]  # not checked by the transport
-        topic.publish(String(data="x"))
-    assert (run.count, run.lost_by_topic) == (1, {"/said": 1})
-    assert caplog.messages[0].startswith("topic /said: a message is lost: ")

@@ -115,11 +115,6 @@ def test_a_straight_way_has_two_points():
     assert len(stroke.points) == 2
 
 
-def test_a_circle_has_a_third_of_its_points():
-    (stroke,) = draw(Drawing(), CIRCLE).polylines()
-    assert len(stroke.points) < len(CIRCLE) / 2.5
-
-
 @pytest.mark.parametrize(
     "more",
     [
@@ -134,22 +129,7 @@ def test_a_new_polyline_begins_with(more):
     assert len(ours.polylines()) == 2
 
 
-def test_a_long_polyline_is_cut_and_goes_on(monkeypatch):
-    monkeypatch.setattr(drawing, "LONGEST", 10)
-    strokes = draw(Drawing(), CIRCLE).polylines()
-    assert len(strokes) > 3
-    assert all(one.points[-1] == two.points[0] for one, two in pairwise(strokes))
-
-
 # Bounds
-
-
-def test_a_drawing_that_nobody_reads_is_converted_now_and_then(monkeypatch):
-    monkeypatch.setattr(drawing, "UNREAD", 100)
-    drawn = []
-    monkeypatch.setattr(Canvas, "draw", lambda _canvas, start, *_rest: drawn.extend(start))
-    draw(Drawing(), CIRCLE)
-    assert len(drawn) == 200
 
 
 def test_beyond_its_bound_a_drawing_is_kept_as_pixels_alone(monkeypatch):
@@ -163,15 +143,6 @@ def test_beyond_its_bound_a_drawing_is_kept_as_pixels_alone(monkeypatch):
     assert ours.pixels() == pixels_of([(RED, start, end) for start, end in pairwise(points)])
     assert (whole[base != 0] != 0).all()
     assert 0 < (base != 0).sum() <= (whole != 0).sum()
-
-
-def test_a_turtle_that_dots_about_stays_within_the_bound(monkeypatch):
-    monkeypatch.setattr(drawing, "MOST_POINTS", 50)
-    ours = Drawing()
-    for number in range(500):
-        place = complex(number % 10, number // 50)
-        ours.line(1, RED, place, place)
-    assert len(ours.polylines()) <= 50
 
 
 def test_a_cleared_drawing_is_as_new():

@@ -128,25 +128,6 @@ async def test_a_goal_can_be_canceled_in_a_pause():
         assert (await handle.outcome()).status is GoalStatus.CANCELED
 
 
-async def run(pauses):
-    """Pose by pose, with or without pauses; and when it is over."""
-    log = []
-    async with stage() as here:
-        here.command(x=1.0, turn=0.7)
-        for _ in range(30):
-            await here.pass_ticks(1)
-            log.append(here.world.pose("turtle1"))
-            if pauses:
-                await set_state(here, PAUSED)
-                await wait_until_idle()
-                await set_state(here, PLAYING)
-        return here.node.clock.time(), log
-
-
-async def test_pauses_change_no_bit_of_a_run():
-    assert await run(pauses=True) == await run(pauses=False)
-
-
 # Steps
 
 

@@ -7,7 +7,6 @@ import time
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 
-import anyio
 import pytest
 
 from turtleact import open_world
@@ -15,7 +14,6 @@ from turtleact.actions.patrol import Patrol
 from turtleact.errors import SimError
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
-from turtleact.tasks import wait_until_idle
 from turtleact.tasks.clock import ScaledClock, WallClock
 
 from ..actions.arena import tasks_alive
@@ -37,12 +35,6 @@ async def nothing_left_behind():
     yield
     await settle()
     assert tasks_alive() == before
-
-
-async def poses(node, turtles):
-    """Where the turtles are after the next tick."""
-    opened = [node.subscription(TurtlePose, f"turtle{n}/pose") for n in range(1, turtles + 1)]
-    return [await anext(subscription) for subscription in opened]
 
 
 # What it opens
@@ -79,13 +71,6 @@ async def test_a_world_that_is_turtlesim_only_serves_what_turtlesim_serves():
     assert {name.rpartition("/")[0] for name in graph.services} == {"", "/turtle1", "/turtlesim"}
 
 
-async def test_a_world_that_is_turtlesim_only_is_paused_and_stepped_by_its_node():
-    async with open_world(speed="max", turtlesim_only=True, paused=True) as node:
-        poses = node.subscription(TurtlePose, "turtle1/pose")
-        await node.step(3)
-        assert len(list(poses.drain())) == 3
-
-
 async def test_its_nodes_are_the_simulator_the_actions_and_the_users():
     async with open_world(speed="max") as node:
         node.publisher(TurtlePose, "my_pose")
@@ -102,22 +87,6 @@ async def test_a_speed_is_a_factor_of_wall_time(speed, clock, factor):
         assert type(node.clock) is clock
         assert isinstance(node.clock, ScaledClock)
         assert node.clock.factor == factor
-
-
-async def patrol(node, pauses=()):
-    """A patrol, bit by bit; the world is paused after so many of its poses."""
-    log = []
-    poses = node.subscription(TurtlePose, "turtle1/pose")
-    goal = Patrol.Goal(targets=TARGETS)
-    async with node.action_client(Patrol, "patrol").send_goal(goal) as handle:
-        while handle.status is not GoalStatus.SUCCEEDED:
-            log.append(await anext(poses))
-            if len(log) in pauses:
-                node.pause()
-                await wait_until_idle()
-                await node.step(3)
-                node.resume()
-        return log, (await handle.outcome()).result
 
 
 async def test_a_world_that_begins_paused_is_driven_in_lock_step():
@@ -200,28 +169,3 @@ async def test_goals_that_still_run_end_with_the_world():
             await node.clock.sleep(1.0)
         outcome = await goal.outcome()
     assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
-
-
-async def test_an_error_inside_comes_out_as_it_is():
-    error = ZeroDivisionError("mine")
-
-    async def fail():
-        async with open_world(speed="max") as node:
-            await node.clock.sleep(1.0)
-            raise error
-
-    async with nothing_left_behind():
-        with pytest.raises(ZeroDivisionError) as caught:
-            await fail()
-    assert caught.value is error
-
-
-async def test_a_world_can_be_left_by_a_cancellation():
-    async with nothing_left_behind():
-        with anyio.CancelScope() as scope:
-            async with open_world(speed="max") as node:
-                client = node.action_client(Patrol, "patrol")
-                scope.cancel()
-                await client.send_goal(Patrol.Goal(targets=TARGETS))
-        assert scope.cancelled_caught
-        assert node.transport.endpoints() == ()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import signal
 import urllib.error
 import urllib.request
@@ -148,54 +147,6 @@ async def test_the_first_pose_of_each_turtle_is_known_from_the_start(late):
     assert about["first"] == {"/turtle1/pose": [20.0, 3.0, 0.0, 0.0]}
 
 
-async def test_a_deleted_bag_is_reported(patrol, tmp_path):
-    shutil.copytree(patrol, tmp_path / "gone")
-    async with open_bag_view(tmp_path / "gone") as shown:
-        shutil.rmtree(tmp_path / "gone")
-        status, text = await get(f"{shown.url}bag")
-    assert (status, b": it cannot be opened: No such file" in text) == (400, True)
-
-
-async def test_only_what_is_shown_is_read(tmp_path, monkeypatch):
-    writer = BagWriter(tmp_path / "long.mcap", Split())
-    writer.add(0, Channel(topic="/turtle1/pose", schema=schema_of(TurtlePose)))
-    writer.add(1, Channel(topic="/camera", schema=schema_of(TurtlePose)))
-    for second in range(400):
-        stamp = START + second * 10**9
-        writer.write(0, stamp, stamp, encode(TurtlePose(x=second / 40)))
-        writer.flush()
-        writer.write(1, stamp + 1, stamp + 1, bytes(20_000))
-        writer.flush()
-    writer.close({})
-    read = []
-    made = Path.open
-
-    class Counting:
-        def __init__(self, file):
-            self._file = file
-
-        def read(self, *size):
-            found = self._file.read(*size)
-            read.append(len(found))
-            return found
-
-        def __getattr__(self, name):
-            return getattr(self._file, name)
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            self._file.close()
-
-    monkeypatch.setattr(Path, "open", lambda *a, **k: Counting(made(*a, **k)))
-    async with open_bag_view(tmp_path / "long.mcap") as shown:
-        await values(f"{shown.url}bag")
-        poses = await values(f"{shown.url}poses?start=200&end=210")
-    assert len(poses["/turtle1/pose"]) == 11
-    assert sum(read) < 500_000 < 8_000_000 < (tmp_path / "long.mcap").stat().st_size
-
-
 @in_a_browser
 async def test_a_bag_is_scrubbed_and_played(url, tmp_path):
     with running_browser(tmp_path) as devtools:
@@ -219,25 +170,6 @@ async def test_a_bag_is_scrubbed_and_played(url, tmp_path):
             late = await page.run(place)
             assert 5 < early < late
             assert page.complaints == []
-
-
-@in_a_browser
-async def test_a_phone_shows_the_time_and_a_turtle_that_comes_later(late, tmp_path):
-    async with open_bag_view(late) as shown:
-        with running_browser(tmp_path / "browser") as devtools:
-            async with open_tab(devtools, shown.url) as page:
-                await page.do(
-                    "Emulation.setDeviceMetricsOverride",
-                    width=390,
-                    height=844,
-                    deviceScaleFactor=1,
-                    mobile=True,
-                )
-                x = "import('./bag.js').then(({bag}) => bag.world.turtles.get('turtle1').pose.x)"
-                assert await page.run(x) == 3
-                await page.until("innerWidth === 390")
-                assert await page.run("document.documentElement.scrollWidth") == 390
-                assert await page.run("$('time').getBoundingClientRect().right") < 390
 
 
 def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, monkeypatch):

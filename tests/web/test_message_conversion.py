@@ -195,21 +195,3 @@ def test_a_time_is_taken_as_in_ros_1():
 def test_what_is_no_list_and_no_object_is_refused(given):
     with pytest.raises(InvalidMessage, match="msg"):
         message_from(Everything, given, root="msg")
-
-
-def test_what_was_written_is_read_again():
-    message = Everything(
-        from_="here",
-        pixels=[1, 2],
-        letters=[3],
-        octets=[4],
-        ratios=[0.5],
-        ratio=0.25,
-        whole=-1,
-        stamps=[Time(1, 2)],
-        ids=[UUID(bytes(range(16)))],
-        word="é",
-    )
-    again = message_from(Everything, said(message), root="msg")
-    assert said(again) == said(message)
-    assert again.stamps == message.stamps
