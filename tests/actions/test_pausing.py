@@ -16,7 +16,6 @@ from turtleact.errors import GoalAborted, GoalCanceled
 from turtleact.interfaces import Message, to_dict
 from turtleact.interfaces.standard import Kill, PatrolCommandInterface, Point, TurtlePose
 
-from ..lab import take_turns
 from .arena import arena
 from .rover import ODOMETRY, rover
 
@@ -161,26 +160,6 @@ async def test_a_paused_goal_is_canceled_at_once(name):
                 await handle.result()
             assert clock.time() == now
         assert await stage.stands_still()
-
-
-async def test_targets_on_which_the_turtle_stands_wait_for_the_end_of_a_pause():
-    goal = Patrol.Goal(targets=[Point(x=5.5, y=5.5)] * 500, tolerance=1.0)
-    async with arena() as stage:
-        told: list[Message] = []
-        async with stage.node.action_client(Patrol, "patrol").send_goal(
-            goal, feedback_callback=told.append
-        ) as handle:
-            await stage.node.clock.sleep(1.5 * DT)
-            for _ in range(20):
-                await handle.pause()
-                await take_turns()
-                count = len(told)
-                await stage.node.clock.sleep(1.0)
-                assert len(told) == count
-                await handle.resume()
-                await take_turns()
-            assert (await handle.result()).reached == 500
-        assert len(told) == 500
 
 
 async def test_a_turtle_that_is_killed_in_a_pause_ends_its_goal():

@@ -12,8 +12,6 @@ from turtleact.interfaces.definition import (
     FieldType,
     MessageDefinition,
     definition_text,
-    did_you_mean,
-    zero,
 )
 from turtleact.interfaces.parse import parse
 
@@ -25,50 +23,8 @@ def message(*fields: Field, name: str = "example_msgs/msg/Sample") -> MessageDef
     return MessageDefinition(name, fields)
 
 
-@pytest.mark.parametrize(
-    ("field_type", "value"),
-    [
-        (INT32, 0),
-        (FieldType("bool"), False),
-        (FieldType("wstring"), ""),
-        (FieldType("float32", None, ArrayForm.FIXED, 2), (0.0, 0.0)),
-        (FieldType("int32", None, ArrayForm.BOUNDED, 2), ()),
-        (POINT, None),
-    ],
-)
-def test_zero_is_what_a_field_holds_without_a_value(field_type, value):
-    assert zero(field_type) == value
-
-
-def test_a_default_of_zero_is_no_default():
-    assert Field("x", INT32, 0) == Field("x", INT32)
-
-
 def test_minus_zero_is_a_default():
     assert Field("x", FieldType("float64"), -0.0).default is not None
-
-
-@pytest.mark.parametrize("name", ["X", "_x", "x_", "x__y", "1x", "é", ""])
-def test_a_field_name_must_be_lower_case(name):
-    with pytest.raises(InvalidInterface, match="is not a valid field name"):
-        Field(name, INT32)
-
-
-@pytest.mark.parametrize("name", ["x", "_X", "X_", "X__Y", "1X"])
-def test_a_constant_name_must_be_in_capitals(name):
-    with pytest.raises(InvalidInterface, match="is not a valid constant name"):
-        Constant(name, INT32, 1)
-
-
-@pytest.mark.parametrize("field_type", [POINT, FieldType("int8", None, ArrayForm.UNBOUNDED)])
-def test_a_constant_is_one_primitive(field_type):
-    with pytest.raises(InvalidInterface, match="a number, a bool or a string"):
-        Constant("X", field_type, 1)
-
-
-def test_a_keyword_gets_an_underscore_in_python_only():
-    field = Field("from", INT32)
-    assert (field.name, field.attribute) == ("from", "from_")
 
 
 @pytest.mark.parametrize(
@@ -77,15 +33,6 @@ def test_a_keyword_gets_an_underscore_in_python_only():
 def test_a_full_name_is_package_kind_and_name(name):
     with pytest.raises(InvalidInterface, match="is not a full interface name"):
         MessageDefinition(name)
-
-
-def test_a_name_is_given_once():
-    with pytest.raises(InvalidInterface, match="'x' is declared twice"):
-        message(Field("x", INT32), Field("x", INT32))
-
-
-def test_a_word_in_other_letters_is_alike():
-    assert did_you_mean("X", ["y", "x"]) == ", did you mean 'x'?"
 
 
 @pytest.mark.parametrize("value", ["a\nb", "a\rb", "ends in \\", "\"'\\"])

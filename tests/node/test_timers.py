@@ -119,16 +119,6 @@ async def test_a_closed_node_makes_no_timer_and_lets_none_tick():
         await anext(timer)
 
 
-async def test_two_tasks_cannot_wait_for_one_timer():
-    transport = MemoryTransport(VirtualClock())  # nobody drives it
-    async with anyio.create_task_group() as tasks, open_node("lab", transport=transport) as node:
-        timer = node.every(1.0)
-        tasks.start_soon(anext, timer, None)
-        await wait_until_idle()
-        with pytest.raises(TurtleactError, match="another task waits for this timer"):
-            await anext(timer)
-
-
 @pytest.mark.parametrize("seconds", [0, -1.0, math.inf, math.nan, True, None, "1"])
 async def test_what_is_no_period_is_refused(seconds):
     async with open_node("lab") as node:

@@ -106,22 +106,6 @@ async def test_a_subscription_waits_for_a_publisher_and_then_reads():
         assert read == [1, 2]
 
 
-async def test_a_subscription_that_is_closed_while_it_waits_ends_its_loop():
-    async with turtleact.open_node("lab") as node, anyio.create_task_group() as group:
-        subscription = node.subscription("numbers")
-        ended = anyio.Event()
-
-        async def reading():
-            async for _ in subscription:
-                pass
-            ended.set()
-
-        group.start_soon(reading)
-        await take_turns()
-        await subscription.aclose()
-        await ended.wait()
-
-
 async def test_the_node_closes_what_has_no_type_yet():
     async with turtleact.open_node("lab") as node:
         client = node.action_client("count")

@@ -10,11 +10,11 @@ import pytest
 
 from turtleact.errors import SimError
 from turtleact.sim.world_services import Ticking
-from turtleact.tasks import Background, current_tasks, wait_until_idle
-from turtleact.tasks.clock import VirtualClock, WallClock, make_clock
+from turtleact.tasks import Background, wait_until_idle
+from turtleact.tasks.clock import VirtualClock, make_clock
 from turtleact.testing import virtual_backend
 
-from ..lab import running, settle
+from ..lab import running
 
 TICK = 0.016
 
@@ -52,25 +52,6 @@ async def ticks(clock=None, *, is_paused=False):
         made = Ticks(clock, is_paused=is_paused)
         async with aclosing(made.ticking):
             yield made
-
-
-class Ahead(WallClock):
-    """A clock that can leap ahead."""
-
-    lead = 0.0
-
-    def time(self):
-        return super().time() + self.lead
-
-
-@LEAPING
-async def test_ticks_begin_from_wherever_the_clock_has_run_to_by_then():
-    clock = Ahead()
-    made = Ticks(clock)
-    clock.lead = 0.7  # before the task of the ticks has had its first turn
-    async with aclosing(made.ticking):
-        await clock.sleep(2.5 * TICK)
-    assert made.log == pytest.approx([0.7, 0.7 + TICK, 0.7 + 2 * TICK])
 
 
 @LEAPING
@@ -147,71 +128,3 @@ async def test_going_on_ends_a_step_and_goes_on():
             await here.ticking.step(10, after(here, 3, here.ticking.resume))
         await here.clock.sleep_until(100.5 * TICK)
         assert (len(here.log), here.ticking.is_paused) == (100, False)
-
-
-async def test_a_step_that_is_canceled_makes_no_more_ticks():
-    async with ticks(is_paused=True) as here:
-        with anyio.CancelScope() as scope:
-            await here.ticking.step(10, after(here, 3, scope.cancel))
-        await wait_until_idle()
-        made = len(here.log)
-        assert made < 10
-        await wait_until_idle()
-        assert len(here.log) == made
-        await here.ticking.step(2)
-        assert len(here.log) == made + 2
-
-
-async def test_closing_ends_a_step_and_lets_the_clock_go_on():
-    async with ticks(is_paused=True) as here:
-        async with running(lambda: here.ticking.step(10**9)) as step:
-            await here.ticking.aclose()
-            await step.done.wait()
-        assert "the world was closed after" in str(step.error)
-        await here.clock.sleep(1.0)
-
-
-class Late(WallClock):
-    """A clock that a test puts forward."""
-
-    def __init__(self):
-        super().__init__()
-        self._seconds = 0.0
-        self._wall_start, self._wall = 0.0, lambda: self._seconds
-        self._moved = current_tasks().signal()
-
-    def put_forward(self, seconds):
-        self._seconds += seconds
-        self._moved.fire()
-
-    async def _wait(self, deadline, left):
-        while self.time() < deadline:
-            await self._moved.wait()
-
-    def stop_at(self, moment):
-        super().stop_at(moment)
-        self._moved.fire()
-
-
-async def test_what_was_late_at_a_pause_is_not_made_up_for():
-    clock = Late()
-    async with ticks(clock) as here:
-        clock.put_forward(0.5)
-        here.ticking.pause()  # before a tick could be made
-        await settle()
-        assert here.log == []
-        clock.put_forward(5.0)
-        here.ticking.resume()
-        clock.put_forward(0.001)
-        await settle()
-        assert here.log == pytest.approx([0.501])
-
-
-async def test_steps_that_fall_far_behind_are_made_all_the_same():
-    clock = Late()
-    async with ticks(clock, is_paused=True) as here:
-        async with running(lambda: here.ticking.step(20)) as step:
-            while not step.done.is_set():
-                clock.put_forward(2.0)
-                await settle()
-        assert (step.error, len(here.log)) == (None, 20)

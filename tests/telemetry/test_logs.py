@@ -102,14 +102,6 @@ async def test_a_record_as_json(handler):
     }
 
 
-def test_an_extra_with_the_name_of_a_member_gets_an_underscore(handler):
-    handler.setFormatter(JsonFormatter())
-    logger.info("here", extra={"level": 9, "time": "noon"})
-    told = json.loads(handler.lines[0])
-    assert (told["level"], told["level_"], told["time_"]) == ("INFO", 9, "noon")
-    assert told["time"] != "noon"
-
-
 def test_a_record_outside_of_a_body_as_json_has_no_goal(handler):
     handler.setFormatter(JsonFormatter())
     try:
@@ -119,19 +111,6 @@ def test_a_record_outside_of_a_body_as_json_has_no_goal(handler):
     told = json.loads(handler.lines[0])
     assert list(told) == ["time", "level", "logger", "message", "exception"]
     assert told["exception"].endswith("ValueError: bad")
-
-
-class Odd:
-    """JSON has no form for this."""
-
-    def __str__(self) -> str:
-        return "odd"
-
-
-def test_any_value_can_be_written_as_json(handler):
-    handler.setFormatter(JsonFormatter())
-    logger.info("here", extra={"value": Odd()})
-    assert json.loads(handler.lines[0])["value"] == "odd"
 
 
 def test_a_record_in_a_span_has_its_ids(handler, monkeypatch):

@@ -12,7 +12,7 @@ from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
 from prometheus_client.parser import text_string_to_metric_families
 
 import turtleact
-from turtleact import GoalRejected, TurtleactError
+from turtleact import GoalRejected
 from turtleact.goals.observers import FeedbackLost
 from turtleact.tasks.clock import VirtualClock
 from turtleact.telemetry import GoalMetrics, instrument, measuring
@@ -54,13 +54,6 @@ async def test_ended_goals_are_counted_by_status_with_their_durations():
     assert found[f"{name}_bucket action=/count,le=+Inf,status=succeeded"] == 3
     assert 0 < found[f"{name}_sum action=/count,status=succeeded"] < 30
     assert found["ros_action_wait_seconds_count action=/count"] == 3
-
-
-async def test_a_closed_node_cannot_be_watched():
-    async with turtleact.open_node("lab") as node:
-        pass
-    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
-        GoalMetrics().watch(node)
 
 
 async def test_a_histogram_has_the_goals_up_to_each_bound():
@@ -118,42 +111,6 @@ async def test_rejected_goals_are_counted(why):
             with pytest.raises(GoalRejected):
                 await client.send_goal(goal())
     assert read(metrics)["ros_action_goals_total action=/count,status=rejected"] == 1
-
-
-async def test_goals_left_to_the_next_start_of_the_server_are_not_active(tmp_path):
-    metrics = GoalMetrics()
-    async with (
-        turtleact.open_journal(tmp_path / "goals.db") as journal,
-        turtleact.open_node("all") as node,
-    ):
-        metrics.watch(node)
-        node.action_server(Count, "count", Gate().wait, journal=journal, on_restart="resume")
-        async with node.action_client(Count, "count").send_goal(goal()) as handle:
-            handle.detach()
-            await node.aclose()
-    found = read(metrics)
-    assert found["ros_action_active action=/count,state=executing"] == 0
-    assert not any(name.startswith("ros_action_goals_total") for name in found)
-
-
-async def test_lost_feedback_is_counted():
-    metrics = GoalMetrics()
-    async with turtleact.open_node("all") as node:
-        metrics.watch(node)
-        client = node.action_client(Count, "count")
-        client.observers.noted(bare_goal(), FeedbackLost(7))
-    assert read(metrics)["ros_action_feedback_lost_total action=/count"] == 7
-
-
-async def test_the_lag_of_the_event_loop_is_measured(monkeypatch):
-    monkeypatch.setattr(measuring, "INTERVAL", 0.001)
-    metrics = GoalMetrics()
-    async with anyio.create_task_group() as group:
-        group.start_soon(metrics.watch_loop)
-        while not read(metrics)["turtleact_loop_lag_seconds_count"]:
-            await anyio.sleep(0.001)
-        group.cancel_scope.cancel()
-    assert read(metrics)["turtleact_loop_lag_seconds_sum"] >= 0
 
 
 async def test_times_are_those_of_the_graph():
