@@ -8,59 +8,17 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
-from turtleact import open_node, open_world
+from turtleact import open_node
 from turtleact.actions import serve_built_ins
-from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.sim.kinematics import SIDE
 from turtleact.transports import open_zenoh
-
-from ..lab import settle
 
 MINE = [7]
 
 
 async def mine(goal: Fibonacci.Goal) -> Fibonacci.Result:
     return Fibonacci.Result(sequence=MINE)
-
-
-async def test_a_built_in_action_makes_way_for_another_server_of_its_name(caplog):
-    async with open_world(speed="max") as node:
-        client = node.action_client(Fibonacci, "/fibonacci")
-        before = await client.send_goal(Fibonacci.Goal(order=2))
-        async with open_node("lab", transport=node.transport) as lab:
-            lab.action_server(Fibonacci, "/fibonacci", mine)
-            await settle()
-            after = await client.send_goal(Fibonacci.Goal(order=2))
-    assert (before.sequence, after.sequence) == ([0, 1, 1], MINE)
-    assert "/fibonacci is served by /lab now: the built-in action withdraws" in caplog.messages
-
-
-async def test_goals_of_a_built_in_action_that_withdraws_finish():
-    async with open_world(speed="max") as node, AsyncExitStack() as stack:
-        client = node.action_client(Fibonacci, "/fibonacci")
-        async with client.send_goal(Fibonacci.Goal(order=5)) as handle:
-            lab = await stack.enter_async_context(open_node("lab", transport=node.transport))
-            lab.action_server(Fibonacci, "/fibonacci", mine)
-            outcome = await handle.outcome()
-    assert outcome.status is GoalStatus.SUCCEEDED
-    assert outcome.result.sequence == [0, 1, 1, 2, 3, 5]
-
-
-async def test_a_built_in_action_is_not_served_if_another_server_was_first():
-    async with open_node("lab") as lab:
-        lab.action_server(Fibonacci, "/fibonacci", mine)
-        async with open_node("turtle_actions", transport=lab.transport) as actions:
-            serve_built_ins(actions, side=SIDE)
-            client = lab.action_client(Fibonacci, "/fibonacci")
-            assert (await client.send_goal(Fibonacci.Goal(order=2))).sequence == MINE
-
-
-async def test_a_built_in_action_stays_away_while_its_world_ends(caplog):
-    async with open_world(speed="max") as node:
-        node.action_server(Fibonacci, "/fibonacci", mine)
-        await settle()
-    assert caplog.messages[-1].endswith("the built-in action withdraws")
 
 
 @pytest.mark.loops("asyncio")

@@ -8,8 +8,6 @@ from contextlib import asynccontextmanager
 import pytest
 
 from turtleact import QoS, open_node
-from turtleact.commands.doctor import fact_lines
-from turtleact.doctor.checks import Answer, NodeSeen, Router, Snapshot
 from turtleact.interfaces.standard import Twist
 from turtleact.transports.base import Endpoint
 
@@ -77,26 +75,6 @@ def test_facts_are_added_if_asked(on_graph):
     assert "nodes: 1 in 1 sessions" in lines
     [told] = map(json.loads, on_graph(healthy, "doctor", "-v", "--json").out.splitlines())
     assert told["facts"]["nodes"] == 1
-
-
-def test_the_facts_are_sentences():
-    seen = Snapshot(
-        domain=7,
-        domains=(0, 7),
-        routers=(Router("abc", "1.10.2", 3), Router("def")),
-        zenoh="1.9.0",
-        nodes=(NodeSeen("/a", "1"), NodeSeen("/b", "1"), NodeSeen("/c", "2")),
-        answers=(Answer("1", "/a", offset=-0.01, uncertainty=0.002), Answer("2", "/c")),
-    )
-    assert list(fact_lines(seen)) == [
-        "domain: 7 (others in use: 0)",
-        "router: abc, Zenoh 1.10.2, sessions: 3",
-        "router: def, Zenoh unknown, sessions: unknown",
-        "Zenoh here: 1.9.0",
-        "nodes: 3 in 2 sessions",
-        "endpoints: 0",
-        "clock of /a: 0.0100 s behind (± 0.0020 s)",
-    ]
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]])

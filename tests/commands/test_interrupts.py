@@ -42,19 +42,6 @@ async def main():
     assert (it.returncode, it.stdout, it.stderr) == (status, f"cleaned\nleft {status}\n", "")
 
 
-def test_a_signal_while_the_loop_opens_cancels_the_command():
-    it = ran("""
-new_event_loop = asyncio.new_event_loop
-def open_late():
-    come()
-    return new_event_loop()
-asyncio.new_event_loop = open_late
-async def main():
-    print('started')
-""")
-    assert (it.returncode, it.stdout, it.stderr) == (130, "left 130\n", "")
-
-
 def test_a_command_may_wait_for_the_first_signal_instead():
     it = ran("""
 async def main():
@@ -80,18 +67,6 @@ async def main():
     assert (it.returncode, it.stdout, it.stderr) == (status, "restored ", "the goal goes on")
 
 
-def test_the_status_of_a_forced_end_can_be_chosen():
-    it = ran("""
-interrupts.forced = 0
-async def main():
-    come()
-    come()
-    while True:
-        pass
-""")
-    assert it.returncode == 0
-
-
 def test_a_terminal_that_closes_sends_one_signal_twice():
     it = ran("""
 async def main():
@@ -100,14 +75,3 @@ async def main():
     await asyncio.sleep(60)
 """)
     assert (it.returncode, it.stdout) == (129, "left 129\n")
-
-
-def test_behind_the_loop_pythons_own_handlers_are_back():
-    it = ran("""
-async def main():
-    return 0
-before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-import atexit
-atexit.register(lambda: print(before == (signal.default_int_handler, signal.SIG_DFL)))
-""")
-    assert it.stdout == "left 0\nTrue\n"

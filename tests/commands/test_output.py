@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands.output import duration, note, printable
+from turtleact.commands.output import note, printable
 
 from .. import warm
 
@@ -56,17 +56,3 @@ def test_no_argument_commands_the_terminal(turtleact, arguments):
     err = turtleact("send-goal", *arguments).err
     assert "\x1b" not in err
     assert "\\x1b" in err
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [
-        (0.04, "0.0 s"),
-        (59.9, "59.9 s"),
-        (60, "1 min 0 s"),
-        (3599, "59 min 59 s"),
-        (7260, "2 h 1 min"),
-    ],
-)
-def test_an_age_is_told_in_two_units(seconds, text):
-    assert duration(seconds) == text

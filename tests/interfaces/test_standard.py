@@ -15,7 +15,7 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.generator import generate
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import REGISTRY, Action, Message, Service
+from turtleact.interfaces.types import Action, Message, Service
 
 from ..tables import together
 
@@ -82,11 +82,6 @@ def test_an_unknown_shortcut_is_an_attribute_error():
         _ = standard.Fibonaci
 
 
-def test_a_class_that_was_forgotten_is_what_its_name_gives():
-    REGISTRY.forget("action_msgs/msg/GoalInfo")
-    assert get_interface("action_msgs/msg/GoalInfo") is standard.GoalInfo
-
-
 def test_a_users_class_is_not_replaced_by_one_that_ships():
     code = (
         "from turtleact.interfaces import Message, get_interface, int32\n"
@@ -96,20 +91,6 @@ def test_a_users_class_is_not_replaced_by_one_that_ships():
         "assert get_interface('geometry_msgs/msg/Point') is Point\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_no_generated_module_is_imported_before_it_is_needed():
-    code = (
-        "import sys, turtleact.interfaces as _\n"
-        "print(*sorted(n for n in sys.modules if n.startswith('turtleact.interfaces.standard.')))\n"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    kinds = [name.removeprefix(f"{standard.__name__}.") for name in ran.stdout.split()]
-    assert [name for name in kinds if "." in name] == [
-        "builtin_interfaces.msg",
-        "service_msgs.msg",
-        "unique_identifier_msgs.msg",
-    ]
 
 
 @pytest.mark.parametrize(

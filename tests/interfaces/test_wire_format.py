@@ -53,20 +53,6 @@ def test_its_hash_is_that_of_the_whole_interface(interface):
     assert WireFormat(interface).type_hash == type_hash(interface)
 
 
-def test_the_class_is_looked_up_once_and_only_when_needed():
-    asked = []
-
-    def find() -> type[Time]:
-        asked.append(1)
-        return Time
-
-    time = WireFormat(find)
-    assert asked == []
-    time.decode(time.encode(Time()))
-    assert time.type_hash
-    assert asked == [1]
-
-
 def test_a_message_of_another_class_is_refused():
     with pytest.raises(InvalidMessage) as caught:
         WireFormat(Sum).encode(REQUEST)

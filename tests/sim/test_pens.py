@@ -68,14 +68,6 @@ def test_a_teleport_draws_a_line_to_where_it_leads_and_the_walls_another():
     assert strokes(pens) == [[5.544 + 5.544j, 20 + 7.089j, 11.089 + 7.089j]]
 
 
-def test_teleports_in_one_tick_are_each_drawn():
-    world, pens = world_of()
-    for x, y in ((1.0, 1.0), (1.0, 9.0), (9.0, 9.0)):
-        world.teleport_absolute("turtle1", x, y, 0.0)
-    run(world, pens)
-    assert [len(stroke) for stroke in strokes(pens)] == [4]
-
-
 def test_a_pen_that_is_off_draws_no_teleport_and_cuts_the_line():
     world, pens = world_of()
     world.set_velocity("turtle1", 1.0)
@@ -131,22 +123,6 @@ def test_a_turtle_of_the_same_name_draws_a_line_of_its_own():
     assert [len(stroke) for stroke in strokes(pens)] == [2, 2]
     with pytest.raises(KeyError):
         pens.colour("bob")
-
-
-def test_a_jump_of_a_turtle_that_is_killed_before_the_tick_is_not_drawn():
-    world, pens = world_of(2)
-    world.teleport_absolute("turtle2", 1.0, 1.0, 0.0)
-    kill(world, pens, "turtle2")
-    run(world, pens)
-    assert strokes(pens) == []
-
-
-def test_a_jump_that_is_taken_up_when_another_comes_is_drawn_once():
-    world, pens = world_of()
-    world.teleport_absolute("turtle1", 1.0, 1.0, 0.0)
-    spawn(world, pens, 3.0, 3.0, 0.0)
-    run(world, pens, 2)
-    assert strokes(pens) == [[5.544 + 5.544j, 1 + 10.089j]]
 
 
 def test_forgetting_all_erases_the_drawing_and_renews_the_pens():
