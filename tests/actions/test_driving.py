@@ -6,44 +6,13 @@ from contextlib import aclosing
 
 import pytest
 
-from turtleact.actions.steering import Limits
 from turtleact.errors import Abort
 from turtleact.interfaces.standard import Twist
 from turtleact.tasks import Background
 
-from .yard import FAR, obeying, telling, yard
+from .yard import FAR, telling, yard
 
 # Poses
-
-
-async def test_of_several_poses_the_newest_counts():
-    async with yard() as place, telling(place), place.drive() as drive:
-        seen = drive.pose.x
-        await place.clock.sleep(0.1)
-        await drive.wait_for_pose()
-        assert drive.pose.x > seen + 5
-        assert drive.travelled == drive.pose.x - seen
-
-
-async def test_a_command_is_held_for_eight_poses():
-    async with yard() as place, obeying(place), place.drive() as drive:
-        for _ in range(5):
-            begun = place.clock.time()
-            await drive.towards(FAR)
-            assert place.clock.time() - begun == pytest.approx(8 * 0.016)
-        assert drive.travelled == pytest.approx(40 * 0.032, abs=1e-5)
-        assert drive.pose.x == pytest.approx(drive.travelled)
-        assert len(place.twists.drain()) == 5
-
-
-@pytest.mark.parametrize(
-    "limits", [{"max_angular": 20.0}, {"tolerance": 0.01}, {"max_acceleration": 1.0}]
-)
-async def test_a_turtle_that_is_fast_or_eased_is_told_at_each_pose(limits):
-    async with yard() as place, obeying(place), place.drive(limits=Limits(**limits)) as drive:
-        begun = place.clock.time()
-        await drive.towards(FAR)
-        assert place.clock.time() - begun == pytest.approx(0.016)
 
 
 # Silence

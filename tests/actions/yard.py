@@ -108,10 +108,3 @@ async def telling(place):
     """The robot says where it is 62.5 times a second."""
     async with aclosing(Background(place.keep_telling(), "the robot")):
         yield
-
-
-@asynccontextmanager
-async def obeying(place, pace=0.016):
-    """The robot moves as a turtle of turtlesim does."""
-    async with aclosing(Background(place.obey(pace), "the robot")):
-        yield

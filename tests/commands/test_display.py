@@ -22,7 +22,6 @@ from turtleact.interfaces.standard import (
 )
 
 ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
-BLANK = chr(0x2800)
 interface: Callable[[str], Any] = get_interface
 
 

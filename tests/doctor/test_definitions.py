@@ -6,13 +6,8 @@ from typing import Any
 
 from turtleact.doctor.checks import fields_of
 from turtleact.interfaces import implied, load_interface
-from turtleact.interfaces.standard import Point
 
 from ..lab import Count
-
-
-def test_fields_are_flat_with_their_types():
-    assert fields_of(Point) == {"x": "float64", "y": "float64", "z": "float64"}
 
 
 def test_lists_and_the_parts_of_services_are_in_the_path():

@@ -1,15 +1,13 @@
 # No `from __future__ import annotations` here: these annotations are objects.
-import sys
 from collections import ChainMap
-from types import FrameType
 from typing import Annotated, ForwardRef
 
 import pytest
 
 from turtleact.errors import InvalidInterface
 from turtleact.interfaces import types
-from turtleact.interfaces.class_body import annotation_of, read, scope_of
-from turtleact.interfaces.definition import PRIMITIVES, ArrayForm, FieldType
+from turtleact.interfaces.class_body import read
+from turtleact.interfaces.definition import PRIMITIVES, FieldType
 from turtleact.interfaces.standard import Point
 from turtleact.interfaces.types import Message, array, bool_, bounded, float64, int32, string
 
@@ -90,48 +88,7 @@ def test_a_misspelled_type_class_gets_a_hint():
         read(Int32, HERE)
 
 
-def frame_in(class_body: bool) -> FrameType:
-    local = Point
-    assert local is Point
-
-    class Body:
-        frame = sys._getframe()
-
-    return Body.frame if class_body else sys._getframe()
-
-
-@pytest.mark.parametrize("class_body", [True, False])
-def test_a_scope_reaches_to_the_function_around(class_body):
-    assert read("list[local]", scope_of(frame_in(class_body), {})).nested is Point
-
-
-def test_a_scope_ends_at_the_function():
-    beyond = Point
-    assert beyond is Point
-    with pytest.raises(InvalidInterface, match="cannot make out 'beyond'"):
-        read("beyond", scope_of(frame_in(class_body=False), {}))
-
-
-def test_the_names_of_the_class_itself_come_last():
-    scope = scope_of(frame_in(class_body=False), {"int32": 5, "own": Point})
-    assert (str(read("int32", scope).field_type), read("own", scope).nested) == ("int32", Point)
-
-
 @pytest.mark.parametrize("item", [list[int32], (list[int32], 0), (list[int32], "5")])
 def test_a_length_is_a_number_above_zero(item):
     with pytest.raises(InvalidInterface, match=r"array: write array\[list\[int32\], 5\]"):
         array[item]
-
-
-@pytest.mark.parametrize(
-    ("field_type", "nested"),
-    [
-        (FieldType("int32"), None),
-        (FieldType("string", 4, ArrayForm.BOUNDED, 2), None),
-        (FieldType("float64", None, ArrayForm.FIXED, 9), None),
-        (FieldType("geometry_msgs/msg/Point", None, ArrayForm.UNBOUNDED), Point),
-    ],
-)
-def test_what_is_written_as_annotation_is_read_back(field_type, nested):
-    reading = read(annotation_of(field_type, nested), HERE)
-    assert (reading.field_type, reading.nested) == (field_type, nested)

@@ -15,9 +15,6 @@ from turtleact.interfaces.definition import (
 )
 from turtleact.interfaces.parse import parse
 
-INT32 = FieldType("int32")
-POINT = FieldType("geometry_msgs/msg/Point")
-
 
 def message(*fields: Field, name: str = "example_msgs/msg/Sample") -> MessageDefinition:
     return MessageDefinition(name, fields)

@@ -13,14 +13,11 @@ from turtleact.interfaces import (
     get_interface,
     get_message,
     implied,
-    int32,
     known_interfaces,
-    string,
 )
 from turtleact.interfaces.classes import event_message
 from turtleact.recording.schemas import SEPARATOR, Schema, class_of, schema_of
 
-from ..registry import isolated_registry
 from .bags import FEEDBACK, POSE
 
 
@@ -104,14 +101,3 @@ def test_without_a_text_the_hash_decides():
     assert class_of(Schema("turtlesim/msg/Pose")) is POSE
     assert class_of(Schema("turtlesim/msg/Pose"), "RIHS01_0") is None
     assert class_of(Schema("lab_msgs/msg/Root")) is None
-
-
-def test_a_default_that_no_text_can_hold_is_left_out():
-    with isolated_registry():
-
-        class Odd(Message, type_name="lab_msgs/msg/Odd"):
-            text: string = "a\nb"
-            number: int32 = 3
-
-        assert schema_of(Odd).text == "string text\nint32 number"
-        assert class_of(schema_of(Odd)) is Odd

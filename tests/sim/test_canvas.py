@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from turtleact.sim.drawing import CLEAR, Canvas
+from turtleact.sim.drawing import Canvas
 from turtleact.sim.pictures import SIZE, Colour, Pen
 
 RED, BLUE = Colour(255, 0, 0), Colour(0, 0, 255)
@@ -40,18 +40,6 @@ def distance_inside(x, y, start, end, width):
     half = width / 2.0
     across = half - abs(turned.imag)
     return min(across, turned.real + half, abs(way) + half - turned.real)
-
-
-def test_a_canvas_is_clear_at_first():
-    assert (drawn(Canvas()), Canvas().colour(3, 4)) == (set(), CLEAR)
-
-
-def test_a_level_line_reaches_half_a_width_beyond_its_ends():
-    assert line(10 + 5j, 13 + 5j, 2.0) == {(x, y) for x in range(9, 14) for y in (4, 5)}
-
-
-def test_no_way_at_all_is_a_square():
-    assert line(10 + 10j, 10 + 10j, 4.0) == {(x, y) for x in range(8, 12) for y in range(8, 12)}
 
 
 @settings(max_examples=25)

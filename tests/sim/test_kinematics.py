@@ -26,11 +26,6 @@ def test_a_turtle_alone_starts_in_the_middle(placing):
     assert starts(1, placing, seed=7) == [MIDDLE] == [Place(SIDE / 2, SIDE / 2, 0.0)]
 
 
-def test_another_seed_is_another_place():
-    one, other, again = (starts(2, "random", seed)[1] for seed in (1, 2, 2))
-    assert one != other == again
-
-
 def test_where_a_turtle_is_spread_does_not_depend_on_how_many_there_are():
     assert starts(3, "random", 5) == starts(30, "random", 5)[:3]
 

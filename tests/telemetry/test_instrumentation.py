@@ -38,13 +38,6 @@ async def test_a_missing_package_is_named(monkeypatch):
             instrument(node)
 
 
-async def test_a_node_that_was_instrumented_is_refused_once_it_is_closed():
-    async with turtleact.open_node("lab") as node:
-        instrument(node)
-    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
-        instrument(node)
-
-
 async def test_without_a_program_that_sets_up_opentelemetry_goals_run_as_ever():
     from ..lab import Count, count, goal, result
 

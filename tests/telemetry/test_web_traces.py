@@ -47,15 +47,3 @@ async def test_a_client_that_serves_an_action_gets_the_span_of_the_goal():
     executed = collector.the("execute /count")
     ids = f"00-{executed.trace_id.hex()}-{executed.span_id.hex()}-0"
     assert asked["traceparent"].startswith(ids)
-
-
-async def test_without_telemetry_a_client_that_serves_an_action_gets_no_span():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_action", action="/count", type=GOAL["action_type"])
-        await client.hears_nothing()
-        async with node.action_client(Count, "count").send_goal(Count.Goal(1)) as handle:
-            asked = await client.hear()
-            assert "traceparent" not in asked
-            about = {"id": asked["id"], "action": "/count", "values": {"counted": []}}
-            client.say("action_result", status=4, result=True, **about)
-            await handle.result()

@@ -9,7 +9,6 @@ import pytest
 from starlette.applications import Starlette
 from starlette.routing import Mount
 
-from turtleact.errors import TurtleactError
 from turtleact.web import Limits
 
 from .line import Line, bridged, line, websocket_scope
@@ -143,11 +142,3 @@ async def test_a_bridge_can_be_mounted():
             assert (await http.get("/robot/nope")).status_code == 404
         async with line(app, websocket_scope("/robot/")) as client:
             assert await client.hears_nothing()
-
-
-async def test_a_bridge_is_no_app_of_its_own():
-    client = Line()
-    async with bridged() as (_, bridge):
-        with pytest.raises(TurtleactError, match="a bridge cannot handle 'lifespan'"):
-            await bridge({"type": "lifespan"}, client.receive, client.send)
-    client.close()
