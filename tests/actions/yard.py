@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
 from typing import NamedTuple
@@ -74,16 +73,6 @@ class Yard(NamedTuple):
         for count in range(5, times + 5):
             self.poses.publish(TurtlePose(x=float(count)))
             await self.clock.sleep(seconds)
-
-    async def obey(self, pace=0.016):
-        """Let the robot do as it is told, tick by tick, and say where it is."""
-        while True:
-            twist = self.twists.latest or Twist()
-            self.at[2] += twist.angular.z * 0.016
-            self.at[0] += math.cos(self.at[2]) * twist.linear.x * 0.016
-            self.at[1] += math.sin(self.at[2]) * twist.linear.x * 0.016
-            self.poses.publish(TurtlePose(*self.at))
-            await self.clock.sleep(pace)
 
     async def keep_telling(self):
         await self.tell_every(0.016, 10_000)

@@ -88,14 +88,10 @@ def test_a_snapshot_holds_plain_values():
         (Lists(three=[1.0]), "three: exactly 3 elements, got 1"),
         (Lists(two=["a"] * 3), "two: at most 2 elements, got 3"),
         (Lists(key=b"abc"), "key: exactly 2 elements, got 3"),
-        (Lists(key=unchecked([1, 2, 3])), "key: exactly 2 elements, got 3"),
         (Lists(raw=[256]), "raw[0]: 256 is out of range for uint8"),
         (Lists(points=[Point(), Point(x=unchecked("a"))]), "points[1].x: expected a number"),
-        (Lists(points=[Point()] * 3), "points: at most 2 elements, got 3"),
         (Lists(points=[unchecked(5)]), "points[0]: expected a message (geometry_msgs/msg/Point)"),
-        (Lists(points=unchecked(5)), "points: expected a list of geometry_msgs/msg/Point, got 5"),
         (Tree(root=unchecked(None)), "root: expected a message (example_msgs/msg/Lists), got None"),
-        (Tree(Lists(numbers=[unchecked(None)])), "root.numbers[0]: expected a whole number"),
         (Tree(twigs=[Lists(points=[Point(z=unchecked([]))])]), "twigs[0].points[0].z: expected"),
     ],
 )
@@ -169,11 +165,6 @@ class Sample(Message, type_name="example_msgs/msg/Sample"):
     from_: float64 = 0.0
 
 
-class Turtle(Message, type_name="example_msgs/msg/Turtle"):
-    name: string = "turtle1"
-    speed: float64 = 2.0
-
-
 FULL = Sample(True, "a", Point(1.0), [Point(y=2.0)], b"ab", [1], [1, 2], 0.5)
 AS_DICT = {
     "flag": True,
@@ -232,9 +223,7 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
             "message.at: expected geometry_msgs/msg/Point, not builtin_",
         ),
         (Sample, {"nmae": 1}, "message: unknown field 'nmae', did you mean 'name'?"),
-        (Sample, {"from_": 1}, "message: unknown field 'from_', did you mean 'from'?"),
         (Point, {"q": 1}, "message: unknown field 'q': the fields are x, y, z"),
-        (Sample, {"at": {"q": 1}}, "message.at: unknown field 'q': the fields are x, y, z"),
         (Point, {1: 1}, "message: unknown field 1: the fields are x, y, z"),
         (
             Point,
@@ -251,8 +240,6 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
         (Empty, 5, "message: expected {}, because it has no fields, got 5"),
         (Sample, 5, 'message: expected fields such as {flag: false, name: "", at: {}}, got 5'),
         (Point, None, "message: expected fields such as {x: 0.0, y: 0.0, z: 0.0}, got None"),
-        (Turtle, 5, 'message: expected fields such as {name: "turtle1", speed: 2.0}, got 5'),
-        (GoalInfo, [], "message: expected fields such as {goal_id: {}, stamp: {}}, got []"),
         (UUID, [], "message: expected fields such as {uuid: []}, got []"),
     ],
 )
