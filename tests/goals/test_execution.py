@@ -728,3 +728,13 @@ async def test_the_reason_of_a_failure_with_a_huge_text_is_short(body):
     end = await end_of(body, awaited)
     assert len(end.reason) < 2 * LONGEST
     assert "aaaa… (5,000,000 characters)" in end.reason
+
+
+async def test_an_abort_in_a_task_group_of_the_body_keeps_its_reason_and_result():
+    async def body(goal):
+        async with anyio.create_task_group() as group:
+            group.start_soon(anyio.sleep_forever)
+            raise ABORT
+
+    outcome = await end_of(body, awaited)
+    assert (outcome.status, outcome.result, outcome.reason) == (ABORTED, result(7), ABORT.reason)

@@ -26,7 +26,7 @@ from turtleact.interfaces.type_hash import structure_hash
 from turtleact.interfaces.types import REGISTRY
 from turtleact.transports import MemoryTransport
 
-from ..lab import free_endpoint
+from ..lab import free_endpoint, running
 from ..registry import isolated_registry
 from ..robots import FILES, Robot, write_package
 
@@ -69,6 +69,18 @@ async def test_an_action_is_learned_by_its_name_alone_with_text_comments_and_con
         with pytest.raises(TypeError, match="did you mean 'depth'"):
             dig.Goal(deph=1.0)
         assert not robot.notes
+
+
+async def test_an_action_is_learned_once_all_endpoints_of_its_server_are_known(package):
+    async with robot_and_node(package) as (robot, node):
+        robot.open("service", "/dig/_action/send_goal", f"{DIG}_SendGoal")
+        async with running(lambda: learn_interface(node, "dig")) as learned:
+            await anyio.wait_all_tasks_blocked()
+            robot.open("service", "/dig/_action/get_result", f"{DIG}_GetResult")
+            await anyio.wait_all_tasks_blocked()
+            robot.open("publisher", "/dig/_action/feedback", f"{DIG}_FeedbackMessage")
+            await learned.done.wait()
+            assert learned.value.type_name == DIG
 
 
 async def test_a_learned_class_is_not_registered(package):

@@ -198,3 +198,11 @@ async def test_publishing_on_a_closed_publisher_raises():
         ):
             say(words.sending, 1)
         assert words.receiving.drain() == []
+
+
+async def test_a_depth_in_place_of_a_qos_is_refused_with_the_way_to_write_it():
+    async with turtleact.open_node("lab") as node:
+        opens: list[Any] = [node.publisher, node.subscription]
+        for open_it in opens:
+            with pytest.raises(TypeError, match=r"expected a QoS, such as QoS\(depth=10\), not 10"):
+                open_it(Word, "words", 10)

@@ -156,6 +156,7 @@ class BodyRunner:
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
         server, canceling = self.server, goal.status is _CANCELING
+        error = _verdict_in(error) or error
         if is_cancellation(error, self._tasks):
             server.end_canceled(goal)
             # The traceback leads to the frames that have thrown the cancellation in, and they refer
@@ -445,6 +446,16 @@ async def _finish(action: str, steps: Steps) -> None:
     except BaseException:
         problem = "the body of %s was canceled after it had yielded its result; the result stands"
         logger.info(problem, action)
+
+
+def _verdict_in(error: BaseException) -> BaseException | None:
+    """Return the `Abort` or `Cancel` that is the only exception in groups of errors, or None.
+
+    A body may raise it in a task group, which puts it into a group.
+    """
+    while isinstance(error, BaseExceptionGroup) and len(error.exceptions) == 1:
+        error = error.exceptions[0]
+    return error if isinstance(error, Abort | Cancel) else None
 
 
 def _stop_in(error: BaseException) -> BaseException | None:

@@ -133,8 +133,9 @@ def _uses(transport: Transport, name: str, kind: Kind) -> Iterator[tuple[Use, st
 
     def hashes(part: str, kind: EndpointKind, node: str) -> list[str]:
         ends = transport.endpoints(f"{name}/_action/{part}")
-        found = {each.type_hash for each in ends if (each.kind, each.node) == (kind, node)}
-        return sorted(found) or [""]
+        return sorted({each.type_hash for each in ends if (each.kind, each.node) == (kind, node)})
+
+    # The endpoints of a server become known one by one: until the last, the type is not known.
 
     for end in transport.endpoints(f"{name}{SEND_GOAL}"):
         if end.kind == "service":

@@ -550,6 +550,8 @@ class Node:
         on_demand: bool = False,
     ) -> Endpoint:
         self._check_open()
+        if not isinstance(qos, QoS | None):  # rclpy takes a depth alone
+            raise TypeError(f"expected a QoS, such as QoS(depth=10), not {qos!r}")
         own = self.fully_qualified_name
         return Endpoint(kind, name, type_name, own, qos or QoS(), on_demand=on_demand)
 

@@ -31,7 +31,7 @@ from turtleact.recording.recorded_goals import RecordedGoal, goals_in
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range, in_nanoseconds
-from turtleact.tasks import Background, current_tasks
+from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 from turtleact.transports.graph import SEND_GOAL
 
@@ -126,7 +126,8 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
         raise InvalidOption("rate", f"expected a number above zero or 'max', not {rate!r}")
     check_open(node)
     times = _times(options)
-    bag = Bag(path)
+    with thread_work().counted():
+        bag = await anyio.to_thread.run_sync(Bag, path)
     player = _Player(node, bag, options, times)
     failure: TurtleactError | None = None
     try:

@@ -409,7 +409,7 @@ class ServiceEnd(ServiceHandler):
         self.events = self.observer = SwitchableEvents(connection, endpoint)
         self._leave = connection.serve(endpoint, self)
         self._served, self._key = connection.served, (endpoint.name, endpoint.type_name)
-        self._served[self._key] = self
+        self._served.setdefault(self._key, self)
 
     async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
         """Pass a request to the function ``take``, and wait for the answer."""
