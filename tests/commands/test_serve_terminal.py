@@ -104,6 +104,28 @@ def test_a_terminal_that_takes_nothing_does_not_hold_up_the_world():
         assert served.process.wait(PATIENCE) == 0
 
 
+COUNTING = """
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "count")
+async def count(goal):
+    for number in range(goal.order):
+        print("step", number)
+    yield Fibonacci.Result()
+"""
+
+
+def test_all_that_a_body_prints_is_shown_above_the_dashboard(tmp_path):
+    (tmp_path / "lab.py").write_text(COUNTING)
+    with Served(str(tmp_path / "lab.py"), "--speed", "100") as served:
+        served.wait_for("no goals yet")
+        assert served.send_goal("count", "order: 3")[0] == 0
+        for number in range(3):
+            served.wait_for(f"step {number}")
+
+
 @pytest.mark.parametrize(
     ("option", "environment"),
     [(["--plain"], {}), (["--headless"], {}), ([], {"TERM": "dumb"})],

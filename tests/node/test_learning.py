@@ -31,6 +31,7 @@ from ..registry import isolated_registry
 from ..robots import FILES, Robot, write_package
 
 DIG = "robot_msgs/action/Dig"
+PARTS = ("_SendGoal", "_GetResult", "_FeedbackMessage")
 BATTERY = "robot_msgs/msg/Battery"
 
 
@@ -81,6 +82,20 @@ async def test_an_action_is_learned_once_all_endpoints_of_its_server_are_known(p
             robot.open("publisher", "/dig/_action/feedback", f"{DIG}_FeedbackMessage")
             await learned.done.wait()
             assert learned.value.type_name == DIG
+
+
+async def test_the_hashes_of_two_types_under_one_name_are_not_mixed(package):
+    async with robot_and_node(package) as (robot, node):
+        robot.serve_action("/dig", DIG)
+        other = f"RIHS01_{'0' * 64}"
+        robot.open("service", "/dig/_action/send_goal", "lab_msgs/action/Dig_SendGoal", other)
+        robot.open("service", "/dig/_action/get_result", "lab_msgs/action/Dig_GetResult", other)
+        robot.open(
+            "publisher", "/dig/_action/feedback", "lab_msgs/action/Dig_FeedbackMessage", other
+        )
+        parts = [robot.hash_of(f"{DIG}{part}") for part in PARTS]
+        found = {use.type_name: use.hashes for use in node.learner.uses("/dig")}
+        assert found == {DIG: tuple(parts), "lab_msgs/action/Dig": (other,) * 3}
 
 
 async def test_a_learned_class_is_not_registered(package):

@@ -201,6 +201,15 @@ async def test_each_declaration_is_an_event():
     assert events[0].stamp == Time(*divmod(EPOCH, 1_000_000_000))
 
 
+async def test_each_change_is_an_event():
+    async with desk() as here:
+        here.events.drain()
+        await here.set(depth=integer(6), width=integer(1))
+        (event,) = here.events.drain()
+    assert event.changed_parameters == [Message("depth", integer(6))]
+    assert (event.new_parameters, event.deleted_parameters) == ([], [])
+
+
 # --- from code ------------------------------------------------------------------------------
 
 

@@ -166,7 +166,7 @@ class Screen:
             stack.callback(self._draw)
             stack.enter_context(redirect_stdout(_Above(self._lines)))
             if sys.stderr is None or sys.stderr.isatty():
-                stack.enter_context(redirect_stderr(_Above(self._lines)))
+                stack.enter_context(redirect_stderr(_Above(self._lines, thins=True)))
             yield
 
     def close(self) -> None:
@@ -180,13 +180,16 @@ class Screen:
 class _Above(io.TextIOBase):
     """A text stream for lines above a display. Any thread may print to it.
 
-    A line that differs from the line before it only in its numbers is left out. A turtle at the
-    wall, for example, causes 62 warnings a second.
+    Args:
+        lines: Where the lines go.
+        thins: Whether to leave out a line that differs from the line before it only in its numbers.
+            A turtle at the wall, for example, causes 62 warnings a second.
     """
 
-    def __init__(self, lines: deque[str]) -> None:
+    def __init__(self, lines: deque[str], *, thins: bool = False) -> None:
         super().__init__()
         self._lines = lines
+        self._thins = thins
         self._begun = ""
         self._last = ""
 
@@ -195,7 +198,7 @@ class _Above(io.TextIOBase):
         *lines, self._begun = (self._begun + text).split("\n")
         for line in lines:
             words = re.sub(r"[-\d.]+", "", line)
-            if words != self._last or not words:
+            if not self._thins or words != self._last or not words:
                 self._lines.append(line)
             self._last = words
         return len(text)

@@ -610,9 +610,12 @@ async def _measure(
             await node.clock.sleep(PERIOD)
             say(lines())
 
+    subscription = node.subscription(message_type, name, QoS(depth=METER_DEPTH))
+
     async def read() -> None:
-        async for message in node.subscription(message_type, name, QoS(depth=METER_DEPTH)):
+        async for message in subscription:
             add(node.clock.now(), message)
 
-    async with aclosing(Background(print_lines(), "printing measurements")):
-        await _beside_notes(node, name, read())
+    # An error of printing, such as a closed pipe, ends the verb.
+    async with aclosing(Background(read(), "measuring")):
+        await _beside_notes(node, name, print_lines())

@@ -131,18 +131,20 @@ def _uses(transport: Transport, name: str, kind: Kind) -> Iterator[tuple[Use, st
                 yield Use(kind, end.type_name, (end.type_hash,)), end.node
         return
 
-    def hashes(part: str, kind: EndpointKind, node: str) -> list[str]:
+    def hashes(part: str, type_name: str, node: str) -> list[str]:
         ends = transport.endpoints(f"{name}/_action/{part}")
-        return sorted({each.type_hash for each in ends if (each.kind, each.node) == (kind, node)})
+        fitting = (each for each in ends if (each.type_name, each.node) == (type_name, node))
+        return sorted({each.type_hash for each in fitting if each.kind in ("service", "publisher")})
 
     # The endpoints of a server become known one by one: until the last, the type is not known.
-
+    # A node may serve one name with several types.
     for end in transport.endpoints(f"{name}{SEND_GOAL}"):
         if end.kind == "service":
-            results = hashes("get_result", "service", end.node)
-            feedbacks = hashes("feedback", "publisher", end.node)
+            action = end.type_name.removesuffix(PARTS[0])
+            results = hashes("get_result", action + PARTS[1], end.node)
+            feedbacks = hashes("feedback", action + PARTS[2], end.node)
             for each in product([end.type_hash], results, feedbacks):
-                yield Use(kind, end.type_name.removesuffix(PARTS[0]), each), end.node
+                yield Use(kind, action, each), end.node
 
 
 def deadline_of(timeout: float | None) -> float | None:

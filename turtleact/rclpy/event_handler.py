@@ -7,8 +7,8 @@ publishers in this process, because transports enforce no time limits. Endpoints
 incompatible quality of service are reported, but still exchange messages, as with rmw_zenoh. This
 module never notices lost messages.
 
-Source: rmw ``events_statuses`` for the fields of the info objects; `turtleact.graph.misfits`
-decides which policies are incompatible.
+Source: rmw ``events_statuses`` for the fields of the info objects. Which policies are incompatible
+is decided by `turtleact.transports.graph.misfits`.
 """
 
 from __future__ import annotations
