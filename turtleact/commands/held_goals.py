@@ -209,13 +209,7 @@ async def change(node: Node, selected: Selection, what: Change, timeout: float =
         ServerUnavailable: if nobody serves an action in ``selected``.
     """
     goals, silent = await held_goals(node)
-    if selected.is_many:
-        meant = _all_of(node, goals, selected)
-        if what == "resume":
-            meant = [goal for goal in await _with_pauses(node, meant) if goal.is_paused]
-        chosen: list[tuple[str, HeldGoal | None]] = [(goal.goal_id.hex(), goal) for goal in meant]
-    else:
-        chosen = [(name, _find(node, goals, name, " or --all")) for name in selected.names]
+    chosen = await _chosen(node, goals, selected, what)
     why = f"; {_silence(silent)}" if silent else ""
     problems = [_lack(text) + why for text, _ in chosen]
 
@@ -227,14 +221,33 @@ async def change(node: Node, selected: Selection, what: Change, timeout: float =
             if goal is not None:
                 asking.start_soon(ask, number, goal)
     for (text, goal), problem in zip(chosen, problems, strict=True):
-        who = text if goal is None else f"{goal.goal_id.hex()} of {goal.action}"
-        done = "canceling" if what == "cancel" else CHANGED[what]
-        say_names(f"{who}: {f'not {CHANGED[what]}: {problem}' if problem else done}\n")
+        _print_change(text, goal, what, problem)
     if selected.is_many and silent:
         note(f"{_silence(silent)}: some goals may not be {CHANGED[what]}")
     elif not chosen:
         note(f"there is no goal to {what}")
     return 1 if any(problems) or (selected.is_many and silent) else 0
+
+
+async def _chosen(
+    node: Node, goals: list[HeldGoal], selected: Selection, what: Change
+) -> list[tuple[str, HeldGoal | None]]:
+    """Return the selected goals, each with its id or the text that selects it."""
+    if not selected.is_many:
+        return [(name, _find(node, goals, name, " or --all")) for name in selected.names]
+    meant = _all_of(node, goals, selected)
+    if what == "resume":
+        meant = [goal for goal in await _with_pauses(node, meant) if goal.is_paused]
+    return [(goal.goal_id.hex(), goal) for goal in meant]
+
+
+def _print_change(text: str, goal: HeldGoal | None, what: Change, problem: str) -> None:
+    """Print what has become of one goal."""
+    who = text if goal is None else f"{goal.goal_id.hex()} of {goal.action}"
+    if problem:
+        say_names(f"{who}: not {CHANGED[what]}: {problem}\n")
+    else:
+        say_names(f"{who}: {'canceling' if what == 'cancel' else CHANGED[what]}\n")
 
 
 def run(reach: ConnectOptions, wanted: str, view: View | None, options: str) -> int:
