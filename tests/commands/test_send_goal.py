@@ -8,6 +8,7 @@ import shlex
 import signal
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -138,8 +139,16 @@ def test_a_type_that_is_no_action_is_an_error_before_anything_is_printed(
 def test_a_type_that_is_on_the_graph_and_not_known_here_says_what_to_do(on_graph):
     @asynccontextmanager
     async def nodes(transport):
-        far = "/far/_action/send_goal", "far_msgs/action/Away_SendGoal", "/ns/far"
-        transport.endpoints = lambda *_: (Endpoint("service", *far, QoS()),)
+        parts: list[tuple[Any, str, str]] = [
+            ("service", "send_goal", "SendGoal"),
+            ("service", "get_result", "GetResult"),
+            ("publisher", "feedback", "FeedbackMessage"),
+        ]
+        far = [
+            Endpoint(kind, f"/far/_action/{part}", f"far_msgs/action/Away_{name}", "/ns/far", QoS())
+            for kind, part, name in parts
+        ]
+        transport.endpoints = lambda name="": tuple(e for e in far if name in ("", e.name))
         yield
 
     ran = on_graph(nodes, "send-goal", "far")
