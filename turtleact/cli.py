@@ -63,7 +63,12 @@ def serve(*targets: str, node: str) -> NoReturn:
             ``__file__``, or single actions, such as ``lab.server:countdown``.
         node: The name of the node that serves the actions.
     """
-    sys.argv[1:] = ["serve", *targets, "--no-sim", "--node-name", node, *sys.argv[1:]]
+    from turtleact.rclpy.face import SETTINGS
+
+    # The graph that 'turtleact run --connect ENDPOINT PACKAGE EXECUTABLE' has named.
+    place = SETTINGS.place.connect
+    graph = ["--connect", ",".join(place)] if place else []
+    sys.argv[1:] = ["serve", *targets, "--no-sim", "--node-name", node, *graph, *sys.argv[1:]]
     sys.exit(main())
 
 

@@ -52,6 +52,14 @@ def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here, program,
     assert server.returncode == 0
 
 
+def test_run_hands_the_graph_that_it_was_given_to_the_package(turtleact, here):
+    assert turtleact("pkg", "create", "lab", "--node-name", "go").status == 0
+    nowhere = free_endpoint()
+    command = [sys.executable, "-m", "turtleact", "run", "--connect", nowhere, "lab", "go"]
+    ran = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False, timeout=30)
+    assert (ran.returncode, f"no router answers at {nowhere}" in ran.stderr) == (1, True)
+
+
 def test_what_the_options_say_is_in_the_files(turtleact, here):
     options = ("--build-type", "ament_python", "--license", "MIT & 'more'")
     turtleact("pkg", "create", "--dependencies", "rclpy", "std_msgs", *options, "lab")
