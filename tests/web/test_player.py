@@ -19,6 +19,7 @@ CLIENT = Path(__file__).with_name("player_client.mjs")
 LEFT_OUT = [
     "rcl_interfaces/msg/Log",  # it has to be there by itself
     "rcl_interfaces/msg/ParameterType",  # a message of constants alone is none to their parser
+    "example_interfaces/msg/WString",  # Foxglove reads no wstring
 ]
 SHIPPED = Path(standard.__file__).parent
 MESSAGES: dict[str, Any] = {
