@@ -186,7 +186,8 @@ class BodyRunner:
             try:
                 result = self.server.check_result(result)
             except InvalidMessage as error:
-                result, reason = None, f"{reason} (its result does not fit: {error})".lstrip()
+                problem = f"(its result does not fit: {error})"
+                result, reason = None, f"{reason} {problem}" if reason else problem
         self.server.end(goal, event, result, reason)
 
     # closing
@@ -236,14 +237,15 @@ class BodyTask(Coroutine[object, object, None]):
         source: The coroutine or generator that the user's function returned; None until the
             function has been called.
         gate: What the body awaits before its next step; None if the body may go on.
-        children: The goals that the body has sent, each with its server. Those that have ended are
-            left out when the body sends the next one.
+        children: The goals that the body has sent, each with its server. Goals that have ended may
+            be among them.
         on_child: Called with each goal that the body sends, and the goal's server.
     """
 
     __slots__ = (
         "_is_cancel_due",
         "_is_dropped",
+        "_prune_at",
         "_steps",
         "_task",
         "children",
@@ -265,6 +267,7 @@ class BodyTask(Coroutine[object, object, None]):
         self._task: Cancelable | None = None
         self._is_cancel_due = False
         self._is_dropped = False
+        self._prune_at = 16
 
     def start(self, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context."""
@@ -291,7 +294,10 @@ class BodyTask(Coroutine[object, object, None]):
 
     def add_child(self, goal: Goal, server: GoalServer) -> None:
         """Note a goal that this body has sent."""
-        self.children = {each: its for each, its in self.children.items() if not each.ended}
+        # Not each time: a body may have sent thousands that still run.
+        if len(self.children) >= self._prune_at:
+            self.children = {each: its for each, its in self.children.items() if not each.ended}
+            self._prune_at = 2 * len(self.children) + 16
         self.children[goal] = server
         if self.on_child is not None:
             self.on_child(goal, server)
