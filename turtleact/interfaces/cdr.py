@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BYTE_ORDERS",
+    "FORMATS",
     "GOAL_ID",
     "HEADER",
     "MISREAD",

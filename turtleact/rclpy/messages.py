@@ -23,7 +23,7 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Action, Message, Service, snapshotter, type_hash
-from turtleact.interfaces.cdr import BYTE_ORDERS, HEADER, MISREAD, UNFIT, decoder, encoder
+from turtleact.interfaces.cdr import BYTE_ORDERS, FORMATS, HEADER, MISREAD, UNFIT, decoder, encoder
 from turtleact.interfaces.class_body import Shape
 from turtleact.interfaces.definition import ArrayForm, Field, FieldType, MessageDefinition, zero
 from turtleact.interfaces.loading import find_interface
@@ -52,19 +52,7 @@ Convert: TypeAlias = Callable[[object], object]
 InterfaceClass: TypeAlias = Anything
 """A class that is made at run time: a message class, or a service or action with its parts."""
 
-TYPECODES: Final = {
-    "char": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
+TYPECODES: Final = {name: code for name, code in FORMATS.items() if name not in ("bool", "byte")}
 """The type code of the array for each number type. Sequences of other types are lists."""
 
 IDL_NAMES: Final = {
